@@ -47,12 +47,12 @@ class Arguments:
 
 
 def looks_like(source: Path) -> bool:
-    """Return whether ``source`` has this format. The function checks only file names."""
+    """Return True if ``source`` has this format. Only file names are checked."""
     return (source / RIG_NAME).is_file()
 
 
 def read(source: Path) -> Imported:
-    """Return the cameras of ``source``.
+    """Read the cameras of ``source``.
 
     Raises:
         UserError: if rig.json is malformed or a camera has no images.
@@ -67,7 +67,7 @@ def read(source: Path) -> Imported:
 
 
 def read_camera(source: Path, entry: dict) -> ImportedCamera:
-    """Return one camera of rig.json."""
+    """Convert one entry of rig.json to a camera with its image files."""
     name, width, height, focal = entry["name"], entry["width"], entry["height"], entry["focal_px"]
     R_world_camera = np.array(entry["R_world_camera"], dtype=np.float64)
     R_camera_world = OPENCV_FROM_OPENGL @ R_world_camera.T

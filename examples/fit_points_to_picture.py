@@ -85,7 +85,7 @@ def initial_points(count: int) -> dict[str, Tensor]:
 
 
 def render(parameters: dict[str, Tensor], camera: Camera, layers: int) -> Tensor:
-    """Return the image (H, W, 3) of the points on a black background."""
+    """Render an image (H, W, 3) of the points on a black background."""
     return render_points(
         parameters["xyz"],
         parameters["rgb"].sigmoid(),
@@ -97,7 +97,7 @@ def render(parameters: dict[str, Tensor], camera: Camera, layers: int) -> Tensor
 
 
 def load_target(path: Path | None, size: int) -> Tensor:
-    """Return the image as (size, size, 3) in [0, 1]. Without a path, return a colour gradient with a disc."""
+    """Load the image as (size, size, 3) in [0, 1]. If ``path`` is None, return a colour gradient with a disc."""
     if path is not None:
         with Image.open(path, formats=["JPEG", "PNG"]) as picture:
             pixels = np.asarray(picture.convert("RGB").resize((size, size), Image.Resampling.LANCZOS))

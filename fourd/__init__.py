@@ -1,7 +1,6 @@
 """fourd turns multi-view video of a moving scene into a 4D point scene.
 
-Importing this package loads neither native modules nor torch. Each subpackage loads its own dependencies when the
-subpackage is imported.
+Importing this package loads neither native modules nor torch; each subpackage loads its own dependencies.
 """
 
 from importlib.metadata import PackageNotFoundError, version

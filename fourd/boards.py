@@ -39,11 +39,11 @@ class CalibrationBoard:
         marker_m: side of a marker in metres, or None for a chessboard.
         dictionary: name of the markers' dictionary in OpenCV, such as DICT_4X4_50, or None for a chessboard.
         inverted: whether dark and bright are exchanged.
-        double_sided: whether the back shows the mirrored pattern, so that each corner is visible at the same point from
-            both sides. Only boards with markers can be double-sided, because markers distinguish the front from the
+        double_sided: whether the back shows the mirrored pattern, so that each corner is at the same point on both
+            sides. Only boards with markers can be double-sided, because the markers distinguish the front from the
             back.
-        legacy_pattern: whether the board has the pattern of OpenCV before version 4.6. This pattern differs from the
-            current pattern only if ``rows`` is even.
+        legacy_pattern: whether the board has the pattern of OpenCV before version 4.6, which differs from the current
+            one only if ``rows`` is even.
 
     Raises:
         ValueError: if a value is invalid. The message starts with the name of the value.
@@ -107,8 +107,7 @@ class CalibrationBoard:
     def corners(self) -> Array:
         """Positions (N, 3) of the inner corners in metres.
 
-        The corners of a ChArUco board are in the order of OpenCV's corner ids. The corners of a chessboard are ordered
-        row by row, from the lowest row.
+        ChArUco corners are in the order of OpenCV's corner ids, chessboard corners row by row from the lowest row.
         """
         x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
         if self.dictionary is not None:
@@ -117,24 +116,24 @@ class CalibrationBoard:
         return self.square_m * flat.astype(np.float64)
 
     def describe(self) -> str:
-        """Short description of the board, for messages."""
+        """Return a short description of the board, for messages."""
         kind = f"ChArUco board ({self.dictionary})" if self.dictionary else "chessboard"
         return f"{kind} of {self.columns} x {self.rows} squares of {1e3 * self.square_m:g} mm"
 
 
 def dictionary_names() -> list[str]:
-    """Names of the marker dictionaries of OpenCV. The dictionaries of a family are sorted by size, smallest first."""
+    """Return the names of OpenCV's marker dictionaries, in alphabetical order."""
     return [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
 
 
 def load_dictionary(name: str) -> cv2.aruco.Dictionary:
-    """A marker dictionary by its name in OpenCV."""
+    """Return a marker dictionary by its name in OpenCV."""
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
 def charuco_board(board: CalibrationBoard) -> cv2.aruco.CharucoBoard:
-    """The object that describes a ChArUco board in OpenCV. In OpenCV's board coordinates, the origin is at the upper
-    left and y points down."""
+    """Return OpenCV's object for a ChArUco board, in whose board coordinates the origin is at the upper left and y
+    points down."""
     assert board.dictionary is not None
     assert board.marker_m is not None
     found = cv2.aruco.CharucoBoard(
@@ -147,8 +146,8 @@ def charuco_board(board: CalibrationBoard) -> cv2.aruco.CharucoBoard:
 def read_board(path: Path) -> CalibrationBoard:
     """Read a board from a TOML file with the attributes of :class:`CalibrationBoard` as keys.
 
-    The key ``pattern`` is "charuco" or "chessboard". Without this key, a file with ``dictionary`` or ``marker_m``
-    describes a ChArUco board, and any other file describes a chessboard.
+    The key ``pattern`` is "charuco" or "chessboard". If it is missing, a file with ``dictionary`` or ``marker_m``
+    describes a ChArUco board, and any other file a chessboard.
 
     Raises:
         UserError: if the file is missing or not TOML, or a key is unknown, missing or invalid.
@@ -195,10 +194,9 @@ def write_board(path: Path, board: CalibrationBoard) -> None:
 
 
 def ink_rectangles(board: CalibrationBoard) -> Array:
-    """Rectangles (N, 4) to print. Each row contains x0, y0, x1, y1 in board coordinates, in metres.
+    """Return the rectangles (N, 4) to print, as x0, y0, x1, y1 in board coordinates, in metres.
 
-    The rectangles do not overlap. The rectangles are dark on a bright background, or bright on a dark background if the
-    board is inverted.
+    They do not overlap. They are dark on a bright background, or bright on a dark one if the board is inverted.
     """
     column, row = np.meshgrid(np.arange(board.columns), np.arange(board.rows))
     squares = np.stack([column, row], axis=-1).reshape(-1, 2).astype(np.float64)

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FADE_MARGIN = 1.25
-"""Factor for the limit angle of :func:`fading_weights`. The factor is used only if each camera that is not chosen has a
-smaller angle than A, the largest angle of the chosen cameras, or if all cameras are chosen. The limit angle is then A
-times the factor.
+"""Limit angle of :func:`fading_weights`, as a multiple of the largest angle of the chosen cameras, if no other camera
+has at least this angle.
 """
 
 
@@ -56,8 +55,7 @@ class Camera:
         with np.errstate(over="ignore", invalid="ignore"):
             error = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
             determinant = float(np.linalg.det(self.rotation))
-        # The comparison is written "not (error <= ...)" to also reject NaN, which occurs if the matrix product
-        # overflows.
+        # "not (error <= ...)" also rejects NaN, which occurs if the matrix product overflows.
         if not (error <= 1e-3 and determinant > 0):
             raise ValueError(
                 f"rotation: expected an orthonormal matrix of determinant +1, got one that differs from orthonormal by "
@@ -100,8 +98,8 @@ class Camera:
         return pixels, depth
 
     def unproject(self, pixels: NDArray[np.floating], depth: NDArray[np.floating]) -> Array:
-        """World points (N, 3) of pixels (N, 2), given as (x, y) without lens distortion, at the camera depths ``depth``
-        (N,) in world units. This is the inverse of :meth:`project`."""
+        """Return the world points (N, 3) of pixels (N, 2), given as (x, y) without lens distortion, at the camera
+        depths ``depth`` (N,) in world units. This is the inverse of :meth:`project`."""
         rays = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(self.intrinsics).T
         return np.asarray((rays * depth[:, None] - self.translation) @ self.rotation, np.float64)
 
@@ -151,10 +149,10 @@ def look_at(centre: Array, target: Array, up: Array, intrinsics: Array, width: i
 
 
 def estimate_up(cameras: Sequence[Camera]) -> Array:
-    """Estimate the up direction (3,) of a capture. A calibration does not define the up direction.
+    """Estimate the up direction (3,) of a capture, which a calibration does not define.
 
-    The result is the normalised mean of the cameras' -y axes, which point up in the images. If the axes cancel out, the
-    result is the -y axis of the first camera.
+    The result is the normalised mean of the cameras' -y axes, which point up in the images, or the first camera's -y
+    axis if they cancel out.
     """
     mean = np.mean([-camera.rotation[1] for camera in cameras], axis=0)
     if np.linalg.norm(mean) < 1e-3:
@@ -168,8 +166,8 @@ class SelectedViews:
 
     Attributes:
         indices: indices of the V source cameras.
-        weights: (V,) float32 view weights in [0, 1]. The blend weights of every point are multiplied by the view
-            weights. At least one view weight is above 0.
+        weights: (V,) float32 view weights in [0, 1], by which the blend weights of every point are multiplied. At least
+            one of them is above 0.
     """
 
     indices: list[int]
@@ -179,7 +177,7 @@ class SelectedViews:
 def select_views(camera: Camera, sources: Sequence[Camera], count: int, focus: Array, *, fade: bool) -> SelectedViews:
     """Select the ``count`` source cameras nearest to ``camera``; see :func:`nearest_views`.
 
-    With ``fade``, :func:`fading_weights` computes the view weights. Without ``fade``, all view weights are 1.
+    If ``fade`` is true, :func:`fading_weights` computes the view weights. Otherwise, they are all 1.
     """
     chosen = nearest_views(camera, sources, count, focus)
     weights = fading_weights(camera, sources, chosen, focus) if fade else np.ones(len(chosen), np.float32)
@@ -189,15 +187,13 @@ def select_views(camera: Camera, sources: Sequence[Camera], count: int, focus: A
 def fading_weights(
     camera: Camera, sources: Sequence[Camera], chosen: Sequence[int], focus: Array
 ) -> NDArray[np.float32]:
-    """Return the view weights (V,) of the V cameras ``chosen``. The larger the angle to the viewing camera, the smaller
-    the weight.
+    """Return the view weights (V,) of the V cameras ``chosen``, which decrease with the angle to the viewing camera.
 
-    A chosen camera at the angle a from the viewing camera has the view weight 1 - a / b, where b is the limit angle.
-    Let A be the largest angle of the chosen cameras. Of the angles of the cameras that are not chosen, b is the
-    smallest that is at least A. If there is no such angle, b is FADE_MARGIN * A. At the moment when another camera
-    replaces a chosen camera, both have the view weight 0, so the rendered image does not jump (unstructured lumigraph
-    rendering, Buehler et al. 2001, sec. 4). Angles are measured at the point ``focus``. If this formula gives 0 for all
-    chosen cameras, all view weights are 1 instead.
+    A chosen camera at the angle a from the viewing camera has the view weight 1 - a / b. Let A be the largest angle of
+    the chosen cameras. The limit angle b is the smallest angle, at least A, of a camera that is not chosen, or
+    FADE_MARGIN * A if there is none. At the moment when another camera replaces a chosen one, both have the weight 0,
+    so the rendered image does not jump (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4). Angles are
+    measured at the point ``focus``. If all view weights would be 0, they are 1 instead.
 
     Args:
         camera: the viewing camera.
@@ -219,9 +215,8 @@ def fading_weights(
 def nearest_views(camera: Camera, sources: Sequence[Camera], count: int, focus: Array) -> list[int]:
     """Return the indices of the ``count`` source cameras nearest to ``camera`` by angle, nearest first.
 
-    The angle of a source camera is measured at the world point ``focus`` (3,), between the rays to the centres of
-    ``camera`` and of the source camera. The selection by angle follows 4K4D (sec. 3.2). Cameras with equal angles are
-    ordered by index.
+    The angle is measured at the world point ``focus`` (3,), between the rays to the centres of ``camera`` and of the
+    source camera (4K4D, sec. 3.2). Cameras with equal angles are ordered by index.
     """
     direction = _normalize(camera.centre - focus)
     cosines = np.array([float(_normalize(source.centre - focus) @ direction) for source in sources])

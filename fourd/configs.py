@@ -1,8 +1,8 @@
-"""Convert typed dataclass configs to YAML and back. An unknown key or a wrong type raises an error with the key's name.
+"""Convert typed dataclass configs to YAML and back. Unknown keys and wrong types raise errors that name the key.
 
-The type of a config field decides how a YAML scalar is read. The type rules of YAML 1.1 are not used. For example,
-``test_views: [05, 11]`` gives the names "05" and "11", ``frames: 1:24`` stays text, and ``rate: 1e-3`` is a number.
-YAML tags cannot create Python objects.
+The type of a config field, and not YAML 1.1's type rules, decides how a YAML scalar is read. For example, ``test_views:
+[05, 11]`` gives the names "05" and "11", ``frames: 1:24`` stays text, and ``rate: 1e-3`` is a number. YAML tags cannot
+create Python objects.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def set_values(base: Config, assignments: Sequence[str], option: str = "--set") 
 
 
 def assigned_keys(assignments: Sequence[str]) -> set[str]:
-    """The KEY part of each assignment KEY=VALUE, as given to :func:`set_values`."""
+    """Return the KEY part of each assignment KEY=VALUE, as given to :func:`set_values`."""
     return {assignment.partition("=")[0].strip() for assignment in assignments}
 
 
@@ -117,7 +117,7 @@ class _Place:
 
 
 MAX_DIGITS = 64
-"""Maximum number of characters of an integer in a config. Python itself rejects integers of more than 4300 digits."""
+"""Maximum number of characters of an integer in a config, below Python's own limit of 4300 digits."""
 
 
 class _Dumper(yaml.SafeDumper):
@@ -131,9 +131,8 @@ _Dumper.add_representer(list, lambda dumper, data: dumper.represent_sequence("ta
 
 
 def _parse_file(path: Path) -> yaml.Node | None:
-    """Parse a file to a tree of YAML nodes.
-
-    YAML tags cannot create Python objects, because the nodes are not converted to Python objects.
+    """Parse a file to a tree of YAML nodes, which are not converted to Python objects, so that YAML tags cannot create
+    any.
     """
     try:
         text = read_limited(path, MAX_CONFIG_BYTES).decode("utf-8-sig")
@@ -199,7 +198,7 @@ def _overlay(base: Any, node: yaml.Node, place: _Place) -> Any:
 
 
 def _entries(node: yaml.Node, known: list[str], place: _Place) -> list[tuple[str, yaml.Node]]:
-    """Return each key of a YAML mapping with the node of its value. A null node is treated as an empty mapping.
+    """Return each key of a YAML mapping with its value node. A null node is treated as an empty mapping.
 
     Raises UserError if a key is unknown or repeated.
     """
@@ -229,8 +228,8 @@ def _entries(node: yaml.Node, known: list[str], place: _Place) -> list[tuple[str
 def _value(kind: Any, node: yaml.Node, base: Any, place: _Place) -> Any:
     """Convert a YAML node to the type ``kind``.
 
-    ``base`` is the old value of the config field. If ``base`` is a dataclass, the node may name only some of its
-    fields, and the other fields keep their values.
+    ``base`` is the old value of the config field. If it is a dataclass, fields that the node does not name keep their
+    values.
     """
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):
@@ -319,8 +318,7 @@ def _float(text: str) -> float:
 
 
 def _plain_tag(node: yaml.Node) -> str | None:
-    """Return the implicit YAML tag of an unquoted scalar. For other nodes, and for explicit tags, the result is
-    None."""
+    """Return the implicit YAML tag of an unquoted scalar, or None for other nodes and explicit tags."""
     if isinstance(node, yaml.ScalarNode) and node.style is None and node.tag in _PLAIN_TAGS:
         return node.tag
     return None
@@ -342,7 +340,7 @@ def _describe(node: yaml.Node) -> str:
 
 
 def _yaml_word(option: object) -> str:
-    """The YAML text of one value of a Literal type."""
+    """Return the YAML text of one value of a Literal type."""
     if option is None or isinstance(option, bool):
         return {None: "null", True: "true", False: "false"}[option]
     return str(option)

@@ -1,4 +1,4 @@
-"""The exception for errors that the user can fix, and quotation of other errors in its message."""
+"""The exception for errors that the user can fix, and a function for quoting other errors in its message."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ MAX_REASON = 200
 
 
 class UserError(Exception):
-    """Invalid input. The CLI prints the one-line error message and exits with code 2.
+    """An error that the user can fix, such as invalid input. The CLI prints its one-line message and exits with code 2.
 
-    The error message names the file or argument, the expected value, the value found, and the fix.
+    The message names the file or argument, the expected value, the value found, and the fix.
     """
 
 

@@ -1,4 +1,4 @@
-"""Atomic writing: a file has either its old content or its complete new content."""
+"""Atomic writing of files, which have either their old content or their complete new content."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ UNFINISHED = ".unfinished-"
 
 @contextmanager
 def atomic_path(target: Path | str) -> Iterator[Path]:
-    """Yield a temporary path beside ``target``. On success, rename the temporary file to ``target``.
+    """Yield a temporary path beside ``target``, and rename the temporary file to ``target`` if the ``with`` block
+    succeeds.
 
-    If ``target`` is a named pipe, a socket or a device, UserError is raised, because the renamed file would replace the
-    pipe, socket or device.
+    If ``target`` is a named pipe, a socket or a device, UserError is raised, because the renamed file would replace it.
 
-    The temporary file is synced to disk before it is renamed. Use this context manager with file writers that take a
-    path. If the ``with`` block raises an exception, the temporary file is removed and ``target`` is unchanged. A killed
-    process leaves the temporary file behind, and :func:`remove_unfinished` removes temporary files. The temporary file
-    keeps the suffix of ``target``, because some writers choose the file format by the suffix.
+    Use this context manager with file writers that take a path. The temporary file is synced to disk before it is
+    renamed. If the ``with`` block raises an exception, it is removed, and ``target`` is unchanged. A killed process
+    leaves it behind, until :func:`remove_unfinished` removes it. It has the suffix of ``target``, because some writers
+    choose the file format by the suffix.
     """
     target = Path(target)
     require_regular(target)
@@ -50,7 +50,7 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     except OSError as error:
         if error.filename not in (None, name) or error.errno is None:
             raise
-        # The error message names the target file, because the name of the temporary file means nothing to the user.
+        # The message names the target, because the name of the temporary file means nothing to the user.
         raise OSError(error.errno, error.strerror, str(target)) from error
     finally:
         try:
@@ -62,11 +62,11 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(target: Path) -> Iterator[Path]:
-    """Yield a temporary folder beside ``target``. On success, the temporary folder replaces the folder ``target``.
+    """Yield a temporary folder beside ``target``, which replaces the folder ``target`` if the ``with`` block succeeds.
 
     If the ``with`` block raises an exception, the temporary folder is removed and ``target`` is unchanged. An existing
-    ``target`` is renamed first. Then the temporary folder gets the name ``target``, and the old folder is removed. The
-    folder ``target`` is therefore missing only for a moment.
+    ``target`` is renamed before the temporary folder gets its name, and removed afterwards, so that ``target`` is
+    missing only for a moment.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f"{UNFINISHED}{target.name}-"))
@@ -115,8 +115,7 @@ def remove_unfinished(folder: Path | str, *, deep: bool = False) -> None:
 def remove_unfinished_file(target: Path | str) -> None:
     """Remove the temporary files that killed processes left for the file ``target``.
 
-    Temporary files of running processes are kept, because they are locked. All files that are not temporary files of
-    ``target`` are also kept.
+    Temporary files of running processes are kept; they are recognised by their locks.
     """
     target = Path(target)
     stem, suffix = glob.escape(target.stem), glob.escape(target.suffix)
@@ -137,8 +136,8 @@ def remove_unfinished_file(target: Path | str) -> None:
 def remove_unfinished_folder(target: Path) -> None:
     """Remove the temporary folders that killed processes left for the folder ``target``.
 
-    If a process was killed while it replaced ``target``, the old content of ``target`` is restored. Call this function
-    only while ``target`` is locked.
+    If a process was killed while it replaced ``target``, the old content is restored. Call this function only while
+    ``target`` is locked.
     """
     pattern = f"{UNFINISHED}{glob.escape(target.name)}-????????"
     for old in sorted(target.parent.glob(f"{pattern}-old")):
@@ -151,15 +150,15 @@ def remove_unfinished_folder(target: Path) -> None:
 
 
 def resolved(path: Path | str) -> Path:
-    """The absolute path without symbolic links. The file may be missing.
+    """Return the absolute path without symbolic links. The file may be missing.
 
-    Before Python 3.13, Path.resolve raises RuntimeError for links that form a loop. Such links are kept here.
+    Links that form a loop are kept. (Before Python 3.13, Path.resolve raises RuntimeError for them.)
     """
     return Path(os.path.realpath(path))
 
 
 def is_unused(folder: Path | str) -> bool:
-    """Whether a folder is missing, or contains no files except temporary files of killed processes."""
+    """Return True if a folder is missing, or contains no files except temporary files of killed processes."""
     folder = Path(folder)
     if not folder.is_dir():
         return not folder.exists()
@@ -169,13 +168,12 @@ def is_unused(folder: Path | str) -> bool:
 
 
 def _create_temporary(target: Path) -> tuple[int, str]:
-    """Create a temporary file beside ``target``, and lock it. Returns the open descriptor and the path of the file."""
+    """Create a temporary file beside ``target``, and lock it. Returns its open descriptor and its path."""
     while True:
         descriptor, name = tempfile.mkstemp(
             dir=target.parent, prefix=f"{UNFINISHED}{target.stem}-", suffix=target.suffix
         )
-        # Another process may have removed the file before it was locked, because an unlocked temporary file looks like
-        # a leftover.
+        # The file may be missing, because another process removes unlocked temporary files, which look like leftovers.
         if try_lock(descriptor) is not False and os.path.exists(name):
             return descriptor, name
         os.close(descriptor)
@@ -185,8 +183,8 @@ def try_lock(descriptor: int) -> bool | None:
     """Lock an open file or folder until its descriptor is closed, and return True. Returns False if another process
     holds a lock.
 
-    Returns None, without locking, on file systems without locks and on Windows. A locked file must stay open, but
-    Windows cannot rename open files.
+    Returns None, without locking, on file systems without locks and on Windows. (A locked file must stay open, but
+    Windows cannot rename open files.)
     """
     if sys.platform == "win32":
         return None

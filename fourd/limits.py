@@ -1,5 +1,5 @@
-"""Limits for untrusted files (their kind, size and nesting), and conversion of their texts to safe text for the
-terminal.
+"""Limits for untrusted files (their kind, size and nesting), and conversion of text from them to text that is safe to
+print in a terminal.
 
 All readers of fourd open files through this module, or call :func:`require_regular` before a library opens the file.
 """
@@ -27,8 +27,8 @@ MAX_CONFIG_BYTES = 1 << 20
 MAX_NUMBER = 64
 """Maximum number of characters of a number that is read from a file as an exact fraction."""
 _MIN_READ = 1 << 16
-"""If a file reports a smaller size than this number of bytes, reading still continues up to this number of bytes or the
-end of the file. Files in /proc report the size 0, although they have content."""
+"""Minimum number of bytes to try to read, even if a file reports a smaller size, because files in /proc report the size
+0."""
 _KINDS = (
     (stat.S_ISFIFO, "a named pipe"),
     (stat.S_ISSOCK, "a socket"),
@@ -40,8 +40,7 @@ _KINDS = (
 def require_regular(path: Path | str) -> None:
     """Raise UserError if ``path`` is a named pipe, a socket or a device, because reading it may never end.
 
-    Symbolic links are followed. No error is raised for a folder or a missing path, because opening the path afterwards
-    raises an error.
+    Symbolic links are followed. No error is raised for a folder or a missing path, because opening it raises one later.
     """
     try:
         mode = os.stat(path).st_mode
@@ -57,11 +56,10 @@ def open_regular(path: Path | str) -> BufferedReader:
         UserError: if ``path`` is a named pipe, a socket or a device.
         OSError: if ``path`` is missing, is a folder, or cannot be opened.
     """
-    # The kind of the file is checked before the file is opened, because opening a device can have side effects. It is
-    # checked again after the file is opened, because another process may have replaced the file in between. The stream
-    # is created together with the descriptor, and only the stream closes the descriptor. If other code could close it
-    # too, a Ctrl-C could cause the descriptor to be closed twice. The second close could then close a file that another
-    # thread has opened in the meantime.
+    # The kind of the file is checked before it is opened, because opening a device can have side effects, and again
+    # afterwards, because another process may have replaced the file in between. Only the stream closes the descriptor.
+    # If other code could close it too, a Ctrl-C could cause it to be closed twice, and the second time could close a
+    # file that another thread has opened in the meantime.
     _require_regular_mode(path, os.stat(path).st_mode)
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
     # Opening raises IsADirectoryError for folders.
@@ -110,8 +108,9 @@ def read_json(path: Path | str, max_bytes: int = MAX_TEXT_BYTES) -> Any:
 def read_fraction(value: object) -> Fraction:
     """Convert a value from a file, such as 25, 29.97 or "30000/1001", to an exact fraction.
 
-    Raises TypeError, ValueError or ZeroDivisionError for other values, and for numbers with exponents or more than 64
-    characters. Such numbers could fill the memory: as a fraction, the text "1e99999999" would need gigabytes.
+    Raises TypeError, ValueError or ZeroDivisionError for other values. Numbers with exponents or more than 64
+    characters are also refused, because they could fill the memory: as a fraction, the text "1e99999999" would need
+    gigabytes.
     """
     if isinstance(value, bool) or not isinstance(value, str | int | float):
         raise TypeError("expected a number")
@@ -126,7 +125,7 @@ def read_fraction(value: object) -> Fraction:
 def printable(text: str) -> str:
     """Replace each character that does not print, such as ESC and newline, by its escape sequence, such as ``\\x1b``.
 
-    Names and texts from files can contain sequences that change the terminal or add lines to the output.
+    Unescaped, names and texts from files could change the terminal's state or add lines to the output.
     """
     if text.isprintable():
         return text

@@ -1,4 +1,4 @@
-"""A process pool that yields each result as soon as it is ready. The pool leaves no process running after an error."""
+"""A process pool that yields each result as soon as it is ready, and leaves no process running after an error."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Result = TypeVar("Result")
 Item = TypeVar("Item")
 
 MAX_BLOCK = 16
-"""Maximum number of items per job. With small jobs, all cores finish at about the same time. With large jobs, files are
-opened less often."""
+"""Maximum number of items per job: small enough that all cores finish at about the same time, and large enough that
+files are not opened too often."""
 POLL_SECONDS = 0.2
 """Interval in seconds at which the queue of results is read."""
 
 
 def core_count() -> int:
-    """Number of cores available to this process."""
+    """Return the number of cores available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -38,11 +38,11 @@ def split_into_blocks(items: Sequence[Item], workers: int) -> list[Sequence[Item
 
 
 def run_jobs(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
-    """Yield the results of ``work`` for all jobs, each result as soon as it is ready. A job can have several results.
+    """Yield the results of ``work`` for all jobs, each as soon as it is ready. A job can have several results.
 
-    With one worker or one job, ``work`` runs in this process, without a pool. The pool's processes are terminated when
-    the caller stops the iteration or a job fails. The processes of the pool also exit when their parent process is
-    killed. Because a job can be terminated at any time, jobs must write files atomically.
+    If there is only one worker or one job, ``work`` runs in this process, without a pool. The pool's processes are
+    terminated when the caller stops the iteration or a job fails, and exit when their parent process is killed. Because
+    a job can be terminated at any time, jobs must write files atomically.
     """
     if workers == 1 or len(jobs) == 1:
         for job in jobs:
@@ -74,9 +74,8 @@ _results: SimpleQueue[Any]
 def _initialize(results: SimpleQueue[Any]) -> None:
     """Set up a process of the pool.
 
-    The process ignores Ctrl-C, because the terminal sends Ctrl-C to all processes and the parent handles it. The
-    process exits when its parent exits. OpenCV uses only one thread in the process, because the other cores run the
-    other processes of the pool.
+    It ignores Ctrl-C, which the terminal sends to all processes and the parent handles, and exits when its parent
+    exits. OpenCV uses only one thread, because the other cores run the other processes of the pool.
     """
     global _results
     cv2.setNumThreads(1)

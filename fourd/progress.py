@@ -1,4 +1,5 @@
-"""Progress reports of all stages: a bar if the output is a terminal, otherwise a line of text every 30 seconds."""
+"""Reports the progress of stages: as a bar if the output is a terminal, otherwise as a line of text every 30
+seconds."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ RATE_SECONDS = 60.0
 RATE_ITEMS = 20
 """Minimum number of items in the time window over which the rate of finished items is measured."""
 MIN_LOGGED_SECONDS = 2.0
-"""A phase prints a line at its end only if it took at least this number of seconds."""
+"""Minimum duration, in seconds, of work whose end is reported with a line of text."""
 
 
 class Track(Protocol):
@@ -44,8 +45,8 @@ def untracked(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
 class Terminal(Console):
     """A console that prints text literally: markup is not interpreted, and control characters are escaped.
 
-    Paths, names of cameras and messages of libraries can contain square brackets and sequences that change the
-    terminal.
+    This matters because paths, camera names and messages of libraries can contain square brackets and sequences that
+    change the terminal's state.
     """
 
     def __init__(self, *, stderr: bool = False, quiet: bool = False) -> None:
@@ -60,7 +61,7 @@ class Terminal(Console):
 
 
 def console_log(console: Console) -> Log:
-    """A logging callback that prints each line unchanged."""
+    """Return a logging callback that prints each line unchanged."""
 
     def log(line: str) -> None:
         console.print(line, soft_wrap=True, markup=False)
@@ -115,9 +116,9 @@ class Tracker:
 class EndEstimate:
     """Estimates the end of a phase from the rate at which the last items were finished.
 
-    The rate is measured over the last minute, or over the last 20 items if they took longer than a minute. This time
-    window is long enough for a stable estimate, even if several processes finish items at the same time. The time
-    window is also short enough that the estimate follows changes of the machine's load.
+    The rate is measured over the last minute, or over the last 20 items if they took longer. This time window is long
+    enough for a stable estimate, even if several processes finish items at the same time, and short enough that the
+    estimate follows changes of the machine's load.
     """
 
     def __init__(self, start: float, count: int) -> None:

@@ -5,9 +5,9 @@
     python tools/count_instructions.py --update
 
 Without --update, the program fails if a count is more than 5% above the accepted count. With --update, the current
-counts become the accepted counts. Unlike times, instruction counts do not depend on the load of the machine. The counts
-depend on the compiler. If there are no accepted counts for a compiler, nothing is compared. The AVX2 kernels are
-counted, because valgrind does not support AVX-512.
+counts become the accepted counts. Unlike times, instruction counts do not depend on the load of the machine. They do
+depend on the compiler, so nothing is compared if there are no accepted counts for the compiler in use. The AVX2 kernels
+are counted, because valgrind does not support AVX-512.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Arguments:
 
 
 def main(arguments: Arguments) -> int:
-    """Build the workloads, count instructions and compare. Return the exit code."""
+    """Build the workloads, count their instructions and compare the counts. Return the exit code."""
     if shutil.which("valgrind") is None:
         print("count_instructions: expected valgrind, got none; install it (apt-get install valgrind)", file=sys.stderr)
         return 2
@@ -89,8 +89,7 @@ def build(folder: Path) -> tuple[str, Path]:
 
 
 def count(program: Path, words: list[str]) -> int:
-    """Return the number of instructions that one repetition of the workload executes. The setup of the workload is not
-    counted."""
+    """Return the number of instructions in one repetition of a workload. Its setup is not counted."""
     once, thrice = (count_process([str(program), *words, str(repeats), "1", "avx2"]) for repeats in (1, 3))
     return (thrice - once) // 2
 
@@ -106,7 +105,7 @@ def count_process(command: list[str]) -> int:
 
 
 def run_quietly(command: list[str]) -> str:
-    """Run a command and return its output. Raises RuntimeError with the error output if the command fails."""
+    """Run a command and return its output. If the command fails, raises RuntimeError with the error output."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(command)}: {done.stderr[-2000:]}")

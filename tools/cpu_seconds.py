@@ -1,6 +1,6 @@
-"""Run a command of fourd on one thread, with time limits in CPU seconds of the command's process.
+"""Run a fourd command on one thread, and apply its time limits to the CPU time of its process.
 
-Such limits make the results almost independent of other programs on the machine.
+This makes the results almost independent of other programs on the machine.
 
 python tools/cpu_seconds.py fit-triangles CAPTURE -o mesh.ply --max-seconds 45
 """
@@ -18,7 +18,7 @@ def main() -> int:
         return 2
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "FOURD_THREADS"):
         os.environ[name] = "1"
-    # The clock is replaced before fourd is imported, because fourd's modules import the function ``monotonic`` by name.
+    # The clock must be replaced before fourd is imported, because fourd's modules import ``monotonic`` by name.
     time.monotonic = time.process_time
     from fourd.cli.main import main as run
 

@@ -1,4 +1,4 @@
-"""``make demo``: make a synthetic capture, train and export a scene, render a video and compute scores.
+"""Run ``make demo``: make a synthetic capture, train and export a scene, render a video and compute scores.
 
 The program prints and runs the commands that a user would type.
 """
@@ -24,7 +24,7 @@ class Arguments:
     """Options of the demonstration."""
 
     folder: Path = Path("demo")
-    """Folder for all files. Stages that are already finished in this folder are skipped."""
+    """Folder for all files. Stages whose results it already contains are skipped."""
     seconds: int = 320
     """Time limit of training in seconds."""
 

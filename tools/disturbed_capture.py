@@ -1,13 +1,13 @@
-"""Perturb a capture's calibration by a known amount, and compare calibrations.
+"""Perturb the calibration of a capture by a known amount, and compare calibrations.
 
     python tools/disturbed_capture.py make CAPTURE OUT [--degrees 0.5] [--metres 0.01] [--seed 0]
 
     python tools/disturbed_capture.py compare CAPTURE OTHER... [--without 03,09,14]
 
-``make`` creates links in OUT to the folders of CAPTURE, and writes perturbed intri.yml and extri.yml to OUT.
-``compare`` aligns the cameras of each OTHER to the cameras of CAPTURE by a similarity transform, and prints the
-remaining pose errors. OTHER is a capture, or the folder RUN/calibration of a run. ``--without`` excludes cameras from
-the comparison, for example held-out cameras, which training does not refine.
+``make`` writes a perturbed intri.yml and extri.yml to OUT, and links to the other files and folders of CAPTURE.
+``compare`` aligns the cameras of each OTHER to those of CAPTURE by a similarity transform, and prints the remaining
+pose errors. OTHER is a capture, or the folder RUN/calibration of a run. Use ``--without`` to exclude cameras from the
+comparison, for example held-out cameras, which training does not refine.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def compare(capture: Path, others: list[Path], without: list[str]) -> None:
 
 
 def cameras_of(folder: Path) -> dict[str, Camera]:
-    """Return a folder's cameras by name. A missing image size becomes 1, because poses do not depend on image sizes."""
+    """Return a folder's cameras by name. A missing image size is set to 1, because pose errors do not depend on it."""
     return {name: each.camera(each.width or 1, each.height or 1) for name, each in read_calibration(folder).items()}
 
 

@@ -1,17 +1,16 @@
-"""Ablation study of full scenes: train a short run for every variant and evaluate held-out views.
+"""Run ablations on a full scene (subject and background): train each variant briefly and evaluate held-out views.
 
     python tools/full_scene_ablations.py CAPTURE OUT --test-views 03,09,14 [--frames 0:24:6] [--max-steps 600]
                                          [--plates EMPTY_SCENE/] [--only sfm apart]
 
-Each variant is a run in OUT/NAME. A variant reuses the hull points and background points of the first variant, unless
-the variant changes these points. Finished runs are not trained again.
+Each variant is a run in OUT/NAME. Variants reuse the hull points and background points of the first variant, except for
+the variants that change how these points are made. Finished runs are not trained again.
 
-The two variants with a perturbed calibration use the capture OUT/disturbed. In OUT/disturbed, each camera is rotated by
-0.5 degrees and moved by 1 cm. Before these two variants are evaluated, each held-out camera is fitted to its own
-images. This fit raises the scores slightly, with or without camera refinement in training.
+Two variants use the capture OUT/disturbed, in which each camera is rotated by 0.5 degrees and moved by 1 cm. Before
+their evaluation, each held-out camera is fitted to its own images, which raises the scores of both variants slightly.
 
-The program prints a Markdown table and writes the image OUT/pictures.png. OUT/pictures.png shows the middle frame of
-each held-out view: the ground truth, and the result of every variant.
+The program prints a Markdown table and writes the image OUT/pictures.png, which shows the middle frame of each held-out
+view: the ground truth, and the result of every variant.
 """
 
 from __future__ import annotations
@@ -39,8 +38,8 @@ class Variant:
     Attributes:
         label: row title in the table.
         changes: the config keys that differ from the defaults.
-        own_seeds: whether the run computes its own hull points and background points. If false, the run uses the points
-            of the first variant.
+        own_seeds: whether the run computes its own hull points and background points, instead of using those of the
+            first variant.
         disturbed: whether the run uses the perturbed calibration.
     """
 
@@ -68,7 +67,7 @@ FOURD = [sys.executable, "-c", "import sys; from fourd.cli.main import main; sys
 
 
 def train(name: str, arguments: argparse.Namespace) -> Path:
-    """Train and evaluate a variant. Return the folder of the variant's run."""
+    """Train and evaluate a variant. Return its run folder."""
     variant = VARIANTS[name]
     run, overlay = arguments.out / name, arguments.out / f"{name}.yaml"
     overlay.write_text(yaml.safe_dump(variant.changes))
@@ -90,7 +89,7 @@ def train(name: str, arguments: argparse.Namespace) -> Path:
 
 
 def disturbed(arguments: argparse.Namespace) -> Path:
-    """Return the capture with the perturbed calibration."""
+    """Return the capture with the perturbed calibration, which is created if it is missing."""
     out: Path = arguments.out / "disturbed"
     if not out.exists():
         tool = Path(__file__).with_name("disturbed_capture.py")

@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # Build fourd for this machine's NVIDIA GPU, run every parity and gradient test on the GPU, and print the benchmark
-# table. No network is needed. Requirements: CUDA's nvcc, and Python 3.11+ with torch, numpy, opencv, pyyaml, rich,
-# safetensors, cachetools, zstandard, trimesh, scipy, pytest, scikit-build-core, nanobind, cmake and ninja. Variables:
-# PYTHON is the interpreter (default python3), ARCHITECTURES the GPU architectures (default: this GPU's). WHEEL is a wheel
-# of fourd with CUDA kernels for this Python and GPU, which is installed instead of a new build.
+# table. The script needs no network. It needs CUDA's nvcc, and Python 3.11+ with torch, numpy, opencv, pyyaml, rich,
+# safetensors, cachetools, zstandard, trimesh, scipy, pytest, scikit-build-core, nanobind, cmake and ninja. Environment
+# variables: PYTHON is the interpreter (default: python3), and ARCHITECTURES are the GPU architectures (default: this
+# GPU's). Set WHEEL to a wheel of fourd with CUDA kernels for this Python and GPU to install it instead of a new build.
 #
 #   tools/gpu_check.sh              tests and table
 #   tools/gpu_check.sh sanitize     the tests under compute-sanitizer
@@ -16,7 +16,7 @@ nvidia-smi --query-gpu=name,driver_version,memory.total --format=csv,noheader
 nvcc --version | grep release
 rm -rf "$site"
 mkdir -p "$site"
-# A build for this GPU's architecture takes a third of the time of a build for all architectures.
+# Building for this GPU's architecture takes a third of the time of building for all architectures.
 SKBUILD_CMAKE_ARGS="-DCMAKE_CUDA_ARCHITECTURES=${ARCHITECTURES:-native};-DFOURD_CUDA=ON;-DFOURD_EMULATION=OFF" \
   SKBUILD_BUILD_DIR=build/gpu/cmake \
   "$python" -m pip install --quiet --no-index --no-deps --no-build-isolation --no-compile --target "$site" "${WHEEL:-.}"
@@ -38,11 +38,11 @@ PYTHON
 tests=(-q -k "cuda and not emulated" tests/ops tests/raster tests/lenses tests/baking/test_gpu_player.py
   tests/training/test_device.py)
 if [ "${1:-}" = sanitize ]; then
-  # torch's memory pool is switched off, so that compute-sanitizer checks each allocation separately.
+  # To let compute-sanitizer check each allocation separately, torch's memory pool is switched off.
   PYTORCH_NO_CUDA_MEMORY_CACHING=1 compute-sanitizer --tool memcheck --error-exitcode 1 "$python" -m pytest "${tests[@]}"
   exit
 fi
-# A failed test does not hide the table; the script's exit status reports the failure.
+# The table is printed even if a test fails. The script's exit status reports the failure.
 failed=0
 "$python" -m pytest "${tests[@]}" || failed=1
 "$python" "$OLDPWD/tools/gpu_table.py"

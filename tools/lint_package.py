@@ -1,8 +1,8 @@
 """Run mypy and import-linter on the package in its installed layout.
 
-In the repository, the package fourd.viewer is in the folder viewer/, where mypy and import-linter do not find the
-package. This program copies the Python files of fourd/ and viewer/ to build/lint/fourd, and runs mypy and import-linter
-in build/lint. `make lint` runs this program.
+In the repository, the package fourd.viewer is in the folder viewer/, where mypy and import-linter do not find it. This
+program therefore copies the Python files of fourd/ and viewer/ to build/lint/fourd, and runs both tools in build/lint.
+`make lint` runs this program.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ def main() -> int:
     copy_package()
     config = str(ROOT / "pyproject.toml")
     types = subprocess.run([sys.executable, "-m", "mypy", "--config-file", config], cwd=TREE)
-    # The option -S skips the .pth file of the editable install. The import hook in the .pth file would take precedence
-    # over build/lint.
+    # The option -S skips the .pth file of the editable install, whose import hook would take precedence over
+    # build/lint.
     lint_imports = "from importlinter.cli import lint_imports_command; lint_imports_command()"
     options = ["--no-logo", "--config", config, "--cache-dir", str(TREE / ".import_linter_cache")]
     layers = subprocess.run(
@@ -42,8 +42,7 @@ def copy_package() -> None:
 
 
 def _not_python(folder: str, names: list[str]) -> list[str]:
-    """Return the entries of a folder that are not copied: files that are not Python, caches, and the link
-    fourd/viewer."""
+    """Return the entries of a folder that are not copied: non-Python files, caches, and the link fourd/viewer."""
     entries = (Path(folder) / name for name in names)
     return [
         entry.name

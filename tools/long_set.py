@@ -1,5 +1,4 @@
-"""Make long videos for long-running tests. The videos show a short capture that is repeatedly played forwards and
-backwards.
+"""Make long videos for long-running tests, by playing a short capture repeatedly forwards and backwards.
 
     python tools/long_set.py CAPTURE OUT --seconds 180 --cameras 8 --size 160
 
@@ -55,9 +54,13 @@ def back_and_forth(count: int, length: int) -> list[int]:
 
 
 def write_video(path: Path, pictures: Sequence[Picture], shown: Sequence[int], fps: int) -> None:
-    """Write an H.264 video atomically. For each video frame, ``shown`` contains an index into ``pictures``.
+    """Write an H.264 video atomically.
 
-    ``pictures`` are images (H, W, 3) with even width and height.
+    Args:
+        path: the file.
+        pictures: images (H, W, 3) with even width and height.
+        shown: index into ``pictures`` for each video frame.
+        fps: frames per second.
     """
     frames = [av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format="yuv420p") for picture in pictures]
     with atomic_path(path) as temporary, av.open(str(temporary), "w") as container:

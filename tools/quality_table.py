@@ -1,5 +1,5 @@
-"""Measure the image quality of trained runs: scores of held-out and training views, shares of the error at the contour
-and elsewhere, specks, jumps and flicker.
+"""Measure the image quality of trained runs: scores of held-out and training views, fractions of the error at the
+contour and elsewhere, specks, jumps and flicker.
 
 python tools/quality_table.py RUN [RUN ...]
 python tools/quality_table.py RUN --orbit 240 --pictures pictures/ --json quality.json
@@ -43,12 +43,13 @@ class Arguments:
     runs: tyro.conf.Positional[list[Path]]
     """Run folders, trained with --test-views."""
     frames: int = 6
-    """Number of frames to measure, spread evenly over the run's frames. With 0, all frames are measured."""
+    """Number of frames to measure, spread evenly over the run's frames, or 0 for all frames."""
     orbit: int = 0
-    """Number of images on a full orbit around the subject at the middle frame, or 0 to skip this measurement. The
-    column `jump` has the largest difference between neighbouring images, divided by the median difference."""
+    """Number of images on a full orbit around the subject at the middle frame. The column `jump` is the largest
+    difference between neighbouring images, divided by the median difference. If this is 0, `jump` is not measured."""
     pictures: Path | None = None
-    """Folder for images: the rendered and the true image of each held-out view at the middle frame, and the error."""
+    """Folder for images that show, for the middle frame of each held-out view, the rendered image, the true image and
+    the error."""
     json: Path | None = None
     """JSON file for all measured values."""
 
@@ -56,7 +57,7 @@ class Arguments:
 @dataclass(frozen=True)
 class ViewQuality:
     """Measured values of one image, inside the matte's bounding box. ``specks`` is the fraction of the box's pixels
-    that belong to specks, which are small regions with a large error."""
+    that belong to small regions with a large error."""
 
     psnr: float
     ssim: float | None
@@ -72,9 +73,9 @@ class ViewQuality:
 
 @dataclass(frozen=True)
 class RunQuality:
-    """Mean values of a run. For the meaning of the values, see the column names in :func:`markdown`.
+    """The values of a run, averaged over its views. They are the columns of the table in :func:`markdown`.
 
-    Radii are in multiples of the point spacing, and are measured over all measured frames.
+    ``radii`` are quantiles over all measured frames, in multiples of the point spacing.
     """
 
     unseen: ViewQuality
@@ -107,7 +108,7 @@ def main(arguments: Arguments) -> int:
 
 
 def measure_run(trained: TrainedRun, arguments: Arguments) -> RunQuality:
-    """Measure a run at ``arguments.frames`` frames, or at all frames if this number is 0."""
+    """Measure a run at the number of frames that ``arguments`` requests."""
     count = trained.run.capture.frame_count
     frames = sorted(set(np.linspace(0, count - 1, arguments.frames or count).round().astype(int).tolist()))
     console = Console(stderr=True)
@@ -125,8 +126,8 @@ def measure_run(trained: TrainedRun, arguments: Arguments) -> RunQuality:
 
 
 def render(trained: TrainedRun, frame: int, view: int) -> tuple[RenderedView, Image, NDArray[np.uint8]]:
-    """Return the rendered image, the true image and the matte of a view. The view itself is not used as a source
-    view."""
+    """Return the rendered image, the true image and the matte of a view. The renderer does not use the view itself as a
+    source view."""
     capture, layers = trained.run.capture, trained.run.config.train.layers
     points = trained.frames.get(frame)
     picture = trained.renderer.render(points, frame, capture.cameras[view], layers, exclude=view)
@@ -152,8 +153,8 @@ def measure_view(trained: TrainedRun, frame: int, view: int) -> ViewQuality:
 
 
 def measure_flicker(trained: TrainedRun, view: int, frames: int = 8) -> float:
-    """Return the flicker of successive frames in a held-out view, divided by the mean change of the true images. For a
-    single frame, the result is 0."""
+    """Return the flicker of a held-out view over successive frames, divided by the mean change of the true images. For
+    a single frame, the result is 0."""
     first = max(0, (trained.run.capture.frame_count - frames) // 2)
     shown = range(first, min(first + frames, trained.run.capture.frame_count))
     if len(shown) < 2:
@@ -165,8 +166,8 @@ def measure_flicker(trained: TrainedRun, view: int, frames: int = 8) -> float:
 
 
 def measure_jump(trained: TrainedRun, steps: int, console: Console) -> float:
-    """Largest difference between neighbouring images of a full orbit at the middle frame, divided by the median
-    difference."""
+    """Return the largest difference between neighbouring images of a full orbit at the middle frame, divided by the
+    median difference."""
     capture = trained.run.capture
     frame = capture.frame_count // 2
     points, layers = trained.frames.get(frame), trained.run.config.train.layers
@@ -183,7 +184,7 @@ def radius_quantiles(trained: TrainedRun, frames: Sequence[int]) -> tuple[float,
 
 
 def mean_of(views: Sequence[ViewQuality]) -> ViewQuality:
-    """Mean of each measured value over the images. The PSNR values are averaged in dB."""
+    """Average each measured value over the images. PSNR is averaged in dB."""
     fields: dict[str, Any] = {}
     for name in ViewQuality.__dataclass_fields__:
         values = [getattr(view, name) for view in views]
@@ -201,7 +202,7 @@ def markdown(results: dict[str, RunQuality]) -> str:
 
 
 def rows(results: dict[str, RunQuality]) -> Iterator[str]:
-    """The table's rows."""
+    """Yield the table's rows."""
     for name, result in results.items():
         unseen = result.unseen
         cells = [name, f"{unseen.psnr:.2f}", "-" if unseen.ssim is None else f"{unseen.ssim:.4f}", f"{unseen.flip:.4f}"]

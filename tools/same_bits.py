@@ -4,10 +4,10 @@
 
     python tools/same_bits.py --fourd .venv/bin/fourd --compare before.json
 
-The program runs the commands of one installation on synthetic captures in a temporary folder. First, the commands make
-mattes, clean plates and hulls. Then they train, export, render and evaluate an object scene, a full scene and a scene
-with camera refinement. The program also runs fourd make. The program takes about six minutes on two cores. Compare only
-digests from the same machine, because the bits depend on the CPU's instruction set.
+The program runs the commands of one installation on synthetic captures in a temporary folder. First, it makes mattes,
+clean plates (images of the empty scene) and visual hulls. Then it trains, exports, renders and evaluates an object
+scene, a full scene and a scene with camera refinement. Finally, it runs `fourd make`. This takes about six minutes on
+two cores. Compare only digests from the same machine, because the bits depend on the CPU's instruction set.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ import tempfile
 from pathlib import Path
 
 CLOCKS = ("seconds",)
-"""Keys of a checkpoint's state whose values are times. Times differ between any two runs, so these values are left out
-of the digest."""
+"""Keys of a checkpoint's state whose values are times. They are left out of the digest, because times differ between
+any two runs."""
 
 
 def main() -> int:
@@ -49,9 +49,9 @@ def main() -> int:
 
 
 def compare(before: dict[str, str], after: dict[str, str]) -> int:
-    """Print every file whose digest differs, and every file that is missing on one side.
+    """Print every file whose digest differs or that is missing on one side.
 
-    Returns 1 if a file was printed, and 0 otherwise.
+    Returns 1 if there is such a file, and 0 otherwise.
     """
     names = sorted(before.keys() | after.keys())
     different = [name for name in names if before.get(name) != after.get(name)]

@@ -2,10 +2,9 @@
 
     python tools/tree_memory.py memory.csv -- fourd matte CAPTURE
 
-The program writes one CSV line every ``--every`` seconds. Each line has the seconds since the start, the number of
-processes, and the memory of all processes in MB. Memory is the proportional set size (PSS), which counts shared memory
-once. At the end, the program prints to stderr the maximum memory and, for each tenth of the running time, the mean
-memory.
+The program writes one CSV line every ``--every`` seconds: the seconds since the start, the number of processes, and
+their total memory in MB. Memory is the proportional set size (PSS), which counts shared memory once. At the end, the
+program prints the maximum memory, and the mean memory in each tenth of the running time, to stderr.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Print two Markdown tables with the speed of the viewer's renderers and the errors of their images.
+"""Print two Markdown tables with the speed and the image errors of the viewer's renderers.
 
     python tools/viewer_table.py
 
     python tools/viewer_table.py scene.4dv --frame 3
 
-Without a scene, the program draws 262,144 points of the synthetic benchmark scene at 1920 x 1080. With a scene, the
-program draws one frame from the scene's first camera. The reference for the errors is the float CPU renderer.
+If no scene is given, the program draws 262,144 points of the synthetic benchmark scene at 1920 x 1080; otherwise, it
+draws one frame of the scene from its first camera. The reference for the errors is the float CPU renderer.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from fourd.viewer.rendering.renderers import RENDERERS, Renderer, RendererName, 
 
 LAYERS = (15, 12, 8)
 TURN = 1e-4
-"""Angle in radians by which the camera turns between two images, so that no renderer can reuse the last image."""
+"""Angle in radians by which the camera turns between two images. It prevents renderers from reusing the last image."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Arguments:
 
 @dataclass(frozen=True)
 class Measured:
-    """The median time of a renderer in milliseconds per image, and the renderer's image (H, W, 3) in [0, 1]."""
+    """A renderer's median time per image in milliseconds, and its image (H, W, 3) in [0, 1]."""
 
     ms: float
     picture: NDArray[np.float32]

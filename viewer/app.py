@@ -23,12 +23,13 @@ from fourd.viewer.window_renderer import WindowRenderer
 _MAX_STEP_SECONDS = 0.1
 """Maximum duration of a time step of playback, in seconds.
 
-If the event loop stalls for longer than this maximum, playback continues near the frame at which the stall began.
+Because of this maximum, playback after a long stall of the event loop continues near the frame at which the stall
+began.
 """
 _IDLE_SECONDS = 0.25
 """Seconds between checks for new frames and checkpoints while the image does not change."""
 _SPINNER_SECONDS = 0.1
-"""Seconds between two images of the spinner. The spinner is slow, because loading a scene also needs the CPU."""
+"""Seconds between two images of the spinner. The interval is long, because loading a scene also needs the CPU."""
 _IMAGES_AFTER_INPUT = 8
 """Number of images that are drawn after each input event.
 
@@ -126,9 +127,8 @@ class App:
         with state.timings.measure("present"):
             window.swap_buffers()
         if is_drawn:
-            # In the cpu renderer, the part "draw" of the timings contains the time of the stylizer. OpenGL renderers
-            # run the stylizer on the GPU, and the part "present" contains its time, because that part waits for the
-            # GPU.
+            # The cpu renderer runs the stylizer during "draw". OpenGL renderers run it on the GPU, and its time is part
+            # of "present", which waits for the GPU.
             source = "draw" if state.renderer.choice.name == "cpu" else "present"
             state.timings.move(source, "style", state.renderer.renderer.style_seconds)
         state.timings.finish_image()
@@ -155,7 +155,7 @@ class App:
                 state.switch_renderer("cpu", f"{name} cannot draw this scene on this machine")
 
     def _seconds_to_wait(self) -> float:
-        """Maximum time in seconds to wait for window events before the next image is drawn."""
+        """Return the maximum time in seconds to wait for window events before the next image is drawn."""
         state, session = self._state, self._state.session
         if state.window.is_hidden or self._is_idle():
             return _IDLE_SECONDS
@@ -167,7 +167,7 @@ class App:
         return min(session.playback.seconds_to_next_frame(), _IDLE_SECONDS)
 
     def _is_idle(self) -> bool:
-        """Whether the next image would be equal to the current image."""
+        """Return True if the next image would be equal to the current one."""
         state, session = self._state, self._state.session
         is_active = session.is_opening or session.is_waiting or session.is_moving or session.playback.is_playing
         is_changing = state.recorder is not None or state.renderer.is_stale or self._is_settling

@@ -44,8 +44,8 @@ _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 def handle_navigation(session: Session, window_height: float, seconds: float) -> bool:
     """Move the pose by mouse and keys, unless the panel uses the input. ``window_height`` is in window coordinates.
 
-    Returns whether the pose has changed. Window events do not report every change of the pose, because a key that is
-    held down produces no event.
+    Returns True if the pose has changed. The caller cannot rely on window events for this, because a key that is held
+    down moves the pose but produces no event.
     """
     io = imgui.get_io()
     if session.pose is None:
@@ -115,8 +115,8 @@ def _drag(pose: Pose, io: imgui.IO, window_height: float) -> Pose:
     right, down = io.mouse_delta.x, io.mouse_delta.y
     if not (right or down):
         return pose
-    # If the duration of a press is above 0, the button was already down in the previous image. Only motion after the
-    # press counts as a drag.
+    # A press with a duration above 0 began before this image. A press that begins in this image does not count as a
+    # drag yet, because the mouse motion may have come before it.
     left, other, middle = (io.mouse_down_duration[button] > 0 for button in (_LEFT, _RIGHT, _MIDDLE))
     if other or (io.key_shift and (left or middle)):
         return pose.pan(right / window_height, down / window_height)
@@ -146,10 +146,9 @@ def _fly(pose: Pose, io: imgui.IO, seconds: float) -> Pose:
 
 
 def _next_speed(speed: float, direction: int) -> float:
-    """Return the preset speed that is next to the absolute value of ``speed``: the next faster one for direction 1, or
-    the next slower one for direction -1.
+    """Return the next faster preset speed for direction 1, or the next slower one for direction -1.
 
-    The result has the sign of ``speed``.
+    The result has the sign of ``speed``. If there is no such preset, it is ``speed`` itself.
     """
     slower = [value for value in _SPEEDS if value < abs(speed) - 1e-9]
     faster = [value for value in _SPEEDS if value > abs(speed) + 1e-9]

@@ -11,7 +11,7 @@ from fourd.cameras import Camera
 from fourd.stylize import Style
 
 MIN_SCALE, MAX_SCALE = 0.1, 10.0
-"""Minimum and maximum of the factors for point size and density that the panel offers."""
+"""Smallest and largest scale factor for point size and density in the panel."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class DisplaySettings:
     style: Style | None = None
 
     def scale_points(self, frame: BakedFrame) -> BakedFrame:
-        """Return ``frame`` with scaled radii and densities. If both factors are 1, return ``frame`` itself.
+        """Return ``frame`` with scaled radii and densities, or ``frame`` itself if both scale factors are 1.
 
         In a scaled frame, ``background`` is None, because the scaled background points differ from the background that
         all frames share.

@@ -35,10 +35,9 @@ class Headless:
     Attributes:
         source: a `.4dv` file or a run's folder.
         renderer: name of the renderer, or "auto".
-        size: width and height of the images in pixels. If ``size`` is None, videos have DEFAULT_SIZE, and screenshots
-            have the size of the selected camera. In a scene without cameras, None means DEFAULT_SIZE for screenshots
-            too.
-        settings: display settings. If ``layers`` is 0, the maximum number of layers that the scene stores is used.
+        size: width and height of the images in pixels. If ``size`` is None, screenshots have the size of the selected
+            camera. Videos, and screenshots of scenes without cameras, have DEFAULT_SIZE.
+        settings: display settings. If ``layers`` is 0, the scene's maximum number of layers is used.
     """
 
     source: Path
@@ -49,8 +48,8 @@ class Headless:
     def video(self, out: Path, path: str, steps: int | None, fps: float | None, console: Console) -> int:
         """Write an MP4 of the scene along a camera path.
 
-        ``path`` is "orbit", "spiral", "cameras" or a file that was recorded in the window. A recorded path also selects
-        the frame of each image. Along the other paths, the scene plays in a loop. Returns the number of images.
+        ``path`` is "orbit", "spiral", "cameras" or a path file that was recorded in the window. A recorded path also
+        contains the frame of each image. On the other paths, the scene plays in a loop. Returns the number of images.
         """
         scene = LoadedScene(self.source, open_frame_source(self.source))
         try:
@@ -91,7 +90,7 @@ class Headless:
 def _cameras_along_path(
     scene: LoadedScene, path: str, size: tuple[int, int], steps: int | None
 ) -> tuple[list[Camera], list[int], float]:
-    """Return the camera and the frame index of each image of a video, and the images per second. Raises UserError."""
+    """Return the camera and the frame index of each video image, and the images per second. Raises UserError."""
     manifest = scene.manifest
     kinds: dict[str, PathKind] = {kind: kind for kind in get_args(PathKind)}
     if path not in kinds:

@@ -24,7 +24,7 @@ class LoadedScene:
         manifest: the manifest of the scene.
         frames: supplies the frames and prefetches them.
         up: up direction of the world, (3,).
-        has_normals: whether the frames have normals, which styles need.
+        has_normals: whether the scene stores normals. Styles need normals, and estimate missing ones.
         checkpoint: file name of the displayed checkpoint of a run; empty for a `.4dv` file.
     """
 
@@ -33,8 +33,8 @@ class LoadedScene:
         self.path = path
         self.manifest: SceneManifest = source.manifest
         self._run = source if isinstance(source, RunSource) else None
-        # The frames of a run are baked on demand, and baking slows training. For a run, the buffer is therefore as
-        # small as possible, so that few frames are baked in advance.
+        # A run's frames are baked on demand, which slows training. To bake few frames in advance, the buffer of a run
+        # is as small as possible.
         self.frames = FramePrefetcher(source, 0 if self._run else BUFFER_BYTES)
         self.up = estimate_up(self.manifest.cameras) if self.manifest.cameras else np.array([0.0, 0.0, 1.0])
         self.has_normals = "normals" in self.manifest.optional_attributes
@@ -42,7 +42,7 @@ class LoadedScene:
         self._last_poll = time.monotonic()
 
     def initial_pose(self, size: tuple[int, int]) -> Pose:
-        """The pose of the first camera. If the scene has no cameras, the pose shows the whole scene."""
+        """Return the pose of the first camera or, if there are no cameras, a pose that shows the whole scene."""
         if self.manifest.cameras:
             return self.camera_pose(0, size)
         lower, upper = (np.asarray(corner) for corner in self.manifest.bounds)
@@ -56,9 +56,9 @@ class LoadedScene:
         return pose_from_camera(self.manifest.cameras[index], self.manifest.focus, self.up, size)
 
     def poll_checkpoint(self) -> bool:
-        """Check, at most once per second, whether the run has a new checkpoint.
+        """Check for a new checkpoint of the run, at most once per second.
 
-        If there is a new checkpoint, its frames replace the buffered frames. Returns whether there is a new checkpoint.
+        Returns True if there is a new checkpoint. Its frames replace the buffered frames.
         """
         now = time.monotonic()
         if self._run is None or now - self._last_poll < _CHECKPOINT_POLL_SECONDS:

@@ -12,7 +12,7 @@ _BAR_WIDTH = 320.0
 
 
 def draw_progress(window: Window, path: Path, done: int, count: int) -> bool:
-    """Draw the progress of a video. Returns whether the user has cancelled the video."""
+    """Draw the progress of a video. Returns True if the user has cancelled the video."""
     width, height = window.size
     imgui.set_next_window_pos(imgui.ImVec2(width / 2, height / 2), imgui.Cond_.always, imgui.ImVec2(0.5, 0.5))
     imgui.begin("rendering", None, imgui.WindowFlags_.always_auto_resize)

@@ -39,8 +39,12 @@ class Session:
     """
 
     def __init__(self, settings: DisplaySettings, style_name: str | None = None) -> None:
-        """If ``settings.layers`` is 0, the maximum number of layers that each scene stores is used. ``style_name`` is
-        the name of the preset, or the path of the style file, from which the style in ``settings`` was loaded."""
+        """Start without a scene.
+
+        Args:
+            settings: the display settings. If ``layers`` is 0, each scene's maximum number of layers is used.
+            style_name: name of the preset, or path of the style file, from which the style in ``settings`` was loaded.
+        """
         self.settings = settings
         self.style_name = style_name
         self.style_file = None if style_name in PRESETS else style_name
@@ -74,7 +78,7 @@ class Session:
         return self._transition is not None
 
     def open(self, path: Path) -> None:
-        """Start to open a scene or a run. The call is ignored while another scene opens."""
+        """Start to open a scene or a run. The call is ignored while another scene is being opened."""
         if self._opener is not None:
             return
         self._opened = None
@@ -173,7 +177,7 @@ class Session:
     def advance(self, seconds: float) -> bool:
         """Advance playback and the transition by ``seconds``. Playback waits while the current frame is being read.
 
-        Returns whether the run has a new checkpoint. The frames of a new checkpoint replace the current frames.
+        Returns True if the run has a new checkpoint, whose frames then replace the current frames.
         """
         has_new_checkpoint = self.scene is not None and self.scene.poll_checkpoint()
         if not self.is_waiting:
@@ -186,10 +190,10 @@ class Session:
         return has_new_checkpoint
 
     def render_request(self, size: tuple[int, int], wait: bool = False) -> RenderRequest | None:
-        """The render request for an image of ``size``, or None until the first frame of a scene has been read.
+        """Return the render request for an image of ``size``, or None until the first frame of a scene has been read.
 
-        While a frame is being read, the request contains the previous frame, and ``is_waiting`` is True. If a frame
-        cannot be read, the request contains the previous frame, and ``message`` contains the reason.
+        While a frame is being read, the request contains the previous frame, and ``is_waiting`` is True. If the frame
+        cannot be read, the request also contains the previous frame, and ``message`` contains the reason.
         """
         if self.scene is None or self.pose is None:
             return None
@@ -200,7 +204,7 @@ class Session:
         return RenderRequest(self._scale_points(frame), camera, self.scene.manifest, self.settings)
 
     def close(self) -> None:
-        """Wait for the thread that opens a scene, and close the scene."""
+        """Wait until no scene is being opened, then close all scenes."""
         if self._opener is not None:
             self._opener.join()
             self._opener = None
@@ -225,19 +229,19 @@ class Session:
         return self._last_frame
 
     def _camera(self, pose: Pose, size: tuple[int, int]) -> Camera:
-        """The camera of the current pose.
+        """Return the camera of a pose.
 
-        While the pose and the size do not change, the result is the same object. Renderers reuse their depth order for
-        the same camera object.
+        While the pose and the size do not change, this is the same object, so that renderers can reuse their depth
+        order.
         """
         if self._last_camera is None or self._last_camera[0] is not pose or self._last_camera[1] != size:
             self._last_camera = (pose, size, pose.camera(*size))
         return self._last_camera[2]
 
     def _scale_points(self, frame: BakedFrame) -> BakedFrame:
-        """The frame, with radii and densities scaled by the settings.
+        """Return the frame with radii and densities scaled by the settings.
 
-        While the frame and the scales do not change, the result is the same object.
+        While the frame and the scales do not change, this is the same object.
         """
         scales = (self.settings.point_scale, self.settings.density_scale)
         if self._scaled is not None:

@@ -1,4 +1,4 @@
-"""Reads the GLSL files of viewer/shaders. The window and the web player both use the shader files of styles."""
+"""Reads the GLSL files of viewer/shaders. The window and the web player share the shaders of styles."""
 
 from __future__ import annotations
 

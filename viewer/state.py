@@ -64,14 +64,14 @@ class ViewerState:
         self._deferred.append(action)
 
     def run_deferred(self) -> bool:
-        """Run the deferred actions. Returns whether there were deferred actions."""
+        """Run the deferred actions. Returns True if there were any."""
         actions, self._deferred = self._deferred, []
         for action in actions:
             action()
         return bool(actions)
 
     def show_scene(self, scene: LoadedScene) -> None:
-        """Show ``scene`` instead of the open scene, and start from the saved view of ``scene``."""
+        """Show ``scene`` instead of the open scene, from its saved view or, if it has none, its initial view."""
         self.save_view()
         size = self.window.framebuffer_size
         self.session.show(scene, self._saved_views.load(scene.path) or scene.initial_pose(size))
@@ -207,7 +207,7 @@ class ViewerState:
 
 
 def unused_path(stem: str, suffix: str) -> Path:
-    """Return the first of the paths STEM-001SUFFIX, STEM-002SUFFIX and so on that does not exist in the working
+    """Return the first path of the series STEM-001SUFFIX, STEM-002SUFFIX, ... that does not exist in the working
     directory."""
     number = 1
     while (path := Path(f"{stem}-{number:03d}{suffix}")).exists():

@@ -15,7 +15,7 @@ HISTORY = 120
 
 
 class Timings:
-    """The times in milliseconds of the parts of each image, for the last HISTORY images."""
+    """The time in milliseconds that each part of an image has taken, for the last HISTORY images."""
 
     def __init__(self) -> None:
         self._history = np.zeros((HISTORY, len(PARTS)))
@@ -23,7 +23,7 @@ class Timings:
 
     @contextmanager
     def measure(self, part: str) -> Iterator[None]:
-        """Measure the duration of a ``with`` block, and add the duration to ``part`` of the current image."""
+        """Measure the duration of a ``with`` block, and add it to ``part`` of the current image."""
         started = time.perf_counter()
         try:
             yield
@@ -31,8 +31,8 @@ class Timings:
             self._current[part] += 1e3 * (time.perf_counter() - started)
 
     def move(self, source: str, target: str, seconds: float) -> None:
-        """In the current image, subtract up to ``seconds`` from the time of the part ``source``, and add this time to
-        the part ``target``."""
+        """Move up to ``seconds`` from the time of part ``source`` of the current image to part ``target``. The time of
+        ``source`` does not become negative."""
         moved = min(1e3 * seconds, self._current[source])
         self._current[source] -= moved
         self._current[target] += moved
@@ -44,17 +44,17 @@ class Timings:
         self._current = dict.fromkeys(PARTS, 0.0)
 
     def cumulative(self) -> NDArray[np.float64]:
-        """Cumulative sums of the times over the parts, for a stacked plot.
+        """Return cumulative sums of the times over the parts, for a stacked plot.
 
         The shape is (HISTORY, parts), with the oldest image first.
         """
         return np.cumsum(self._history, axis=1)
 
     def medians(self) -> dict[str, float]:
-        """Median time of each part in milliseconds.
+        """Return the median time of each part in milliseconds.
 
-        The median of a part ignores images in which the part did not run. For example, the part "draw" does not run for
-        an unchanged scene.
+        The median of a part ignores images in which it did not run. For example, "draw" does not run for an unchanged
+        scene.
         """
         nonzero = [column[column > 0] for column in self._history.T]
         return {

@@ -76,26 +76,26 @@ class Window:
     def set_title(self, text: str) -> None:
         """Set the title if ``text`` differs from the current title.
 
-        Setting the same title again would cause an event, so that :meth:`wait_events` would return too early.
+        Setting an equal title would cause an event, which would make :meth:`wait_events` return too early.
         """
         if text != self._title:
             self._glfw.set_window_title(self.handle, text)
             self._title = text
 
     def wait_events(self, seconds: float) -> None:
-        """Wait up to ``seconds`` for events, and handle the events."""
+        """Wait up to ``seconds`` for events, and handle them."""
         if seconds > 0:
             self._glfw.wait_events_timeout(seconds)
         else:
             self._glfw.poll_events()
 
     def take_input_flag(self) -> bool:
-        """Whether there has been input since the last call."""
+        """Return True if there has been input since the last call."""
         had_input, self._had_input = self._had_input, False
         return had_input
 
     def take_dropped_paths(self) -> list[Path]:
-        """The files dropped on the window since the last call."""
+        """Return the files that were dropped on the window since the last call."""
         paths, self._dropped = self._dropped, []
         return paths
 
@@ -111,8 +111,8 @@ class Window:
         from imgui_bundle import imgui
         from OpenGL import GL
 
-        # Unbind the shader program, because the backend of the user interface later binds the current program again,
-        # which fails if the program has been deleted.
+        # Unbind the current shader program. The backend of the user interface would bind it again after drawing, which
+        # fails if the program has been deleted.
         GL.glUseProgram(0)
         imgui.render()
         self._ui.render(imgui.get_draw_data())
@@ -120,13 +120,12 @@ class Window:
     def copy_framebuffer(self, framebuffer: int) -> None:
         """Copy a framebuffer to the window.
 
-        ``framebuffer`` is the OpenGL name of a framebuffer of the window's size. The framebuffer stays bound for
-        reading.
+        ``framebuffer`` is the OpenGL name of a framebuffer of the window's size. It stays bound for reading.
         """
         from OpenGL import GL
 
-        # moderngl cannot copy to the window, because moderngl's names for the buffers of the default framebuffer are
-        # not valid in OpenGL 3.3.
+        # moderngl cannot copy to the window, because its names for the buffers of the default framebuffer are not valid
+        # in OpenGL 3.3.
         width, height = self.framebuffer_size
         GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, framebuffer)
         GL.glBindFramebuffer(GL.GL_DRAW_FRAMEBUFFER, 0)

@@ -16,8 +16,8 @@ from fourd.viewer.rendering.renderers import Renderer, RendererChoice, RendererN
 from fourd.viewer.window import Window
 
 _FAINT = 0.01
-"""Tolerance of the strength of lines that fade in. A paused image is drawn again until the difference between the
-strength of each line and its final strength is at most this fraction of the initial difference.
+"""Tolerance of lines that fade in. A paused image is drawn again until each line's strength differs from its final
+strength by at most this fraction of the initial difference.
 """
 
 
@@ -37,8 +37,8 @@ class WindowRenderer:
 
     @property
     def is_settling(self) -> bool:
-        """Whether lines of the last image would become stronger if the image were drawn again. Lines fade in after a
-        change of the frame, but not after a change of the camera."""
+        """Whether lines of the last image would become stronger if it were drawn again. Lines fade in after a change of
+        the frame, but not after a change of the camera."""
         return self._unsettled_images > 0
 
     @property
@@ -53,9 +53,10 @@ class WindowRenderer:
         self.renderer, self.choice, self._drawn = renderer, RendererChoice(name, reason), None
 
     def reset(self) -> None:
-        """Create the current renderer again.
+        """Replace the current renderer by a new one of the same kind.
 
-        The textures and threads of the old renderer may still hold frames of a closed scene.
+        This is needed after a change of the scene, because the textures and threads of the old renderer may still hold
+        frames of the closed scene.
         """
         self.renderer.release()
         self.renderer, self._drawn = make_renderer(self.choice.name, self.context), None
@@ -65,7 +66,7 @@ class WindowRenderer:
         self._drawn = None
 
     def needs_draw(self, request: RenderRequest) -> bool:
-        """Whether ``request`` must be drawn, because the canvas does not show the exact image of ``request``."""
+        """Return True if ``request`` must be drawn, because the canvas does not show its exact image."""
         return self.is_stale or not self._is_last(request)
 
     def draw(self, request: RenderRequest) -> None:
@@ -81,7 +82,7 @@ class WindowRenderer:
         self._drawn = request
 
     def draw_exact(self) -> NDArray[np.uint8] | None:
-        """The exact image of the last request, (H, W, 3) uint8, or None before the first request."""
+        """Return the exact image of the last request, (H, W, 3) uint8, or None before the first request."""
         if self._drawn is None:
             return None
         self.renderer.draw(self._drawn, self._canvas, wait=True)
@@ -89,7 +90,7 @@ class WindowRenderer:
 
     def present(self, shows_image: bool) -> None:
         """Copy the canvas to the window's back buffer. If ``shows_image`` is False, or if the canvas does not have the
-        window's size, clear the back buffer."""
+        window's size, clear the back buffer instead."""
         size = self.window.framebuffer_size
         if self._screen is None or self._screen.size != size:
             self._screen = self.context.detect_framebuffer(0)
@@ -101,7 +102,7 @@ class WindowRenderer:
             self._screen.clear()
 
     def _is_last(self, request: RenderRequest) -> bool:
-        """Whether a request is equal to the last request."""
+        """Return True if a request is equal to the last one."""
         last = self._drawn
         return (
             last is not None

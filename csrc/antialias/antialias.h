@@ -26,8 +26,8 @@ struct Settings {
 };
 
 // Writes the blended colours to `out` (count, height, width, channels). Each pixel forms two pairs: one with its right
-// neighbour and one with its lower neighbour. For each pixel, the function writes a Code (maths.h) to `codes` (count,
-// height, width). The Code describes the silhouette edges that cross the two pairs of the pixel.
+// neighbour and one with its lower neighbour. Also writes to `codes` (count, height, width), for each pixel, a Code
+// (maths.h) that describes the silhouette edges crossing the pixel's two pairs.
 void blend(const Mesh& mesh, const Images& images, const Settings& settings, float* out, std::uint8_t* codes);
 
 // The arguments of the backward pass of blend(). `gradient` is the gradient of the loss with respect to the `out` of

@@ -1,11 +1,15 @@
 // Finds silhouette edges, and the points where these edges cross the segment between two neighbouring pixel centres.
 //
-// Relative to the centre f = (f_x, f_y) of a pixel in normalised device coordinates, a vertex (x, y, z, w) in clip
-// space has the coordinates (a, b, w), where a = x - f_x * w and b = y - f_y * w. The point f lies on the line of the
-// edge from vertex j to vertex k if N = a_j b_k - b_j a_k is 0. N is a linear function of f, even if a vertex has
-// w <= 0. Let s be the distance between neighbouring pixel centres along x. If f moves by t * s along x, N decreases by
-// t * D, where D = s * (w_j b_k - b_j w_k). The segment from f to the centre of the right neighbour therefore crosses
-// the line at t = N / D. Along y, the same formulas hold with a and b exchanged.
+// Let f = (f_x, f_y) be the centre of a pixel in normalised device coordinates. Relative to f, a vertex (x, y, z, w) in
+// clip space has the coordinates (a, b, w):
+//     a = x - f_x * w, b = y - f_y * w
+// The point f lies on the line through the vertices j and k if N is 0:
+//     N = a_j b_k - b_j a_k
+// N is a linear function of f, even if a vertex has w <= 0. Let s be the distance between neighbouring pixel centres
+// along x. If f moves by t * s along x, N decreases by t * D:
+//     D = s * (w_j b_k - b_j w_k)
+// The segment from f to the centre of the right neighbour therefore crosses the line at t = N / D. Along y, the same
+// formulas hold with a and b exchanged.
 #pragma once
 
 #include <cstddef>
@@ -17,11 +21,11 @@
 
 namespace fourd::antialias {
 
-// The rasterizer rounds vertices to a subpixel grid. An edge in the image can therefore be up to kTolerancePx pixels
-// away from the edge between the exact vertices.
+// Because the rasterizer rounds vertices to a subpixel grid, an edge in the image can be up to kTolerancePx pixels away
+// from the edge between the exact vertices.
 constexpr float kTolerancePx = 0.0625f;
-// Limit of the absolute values of the derivatives in Crossing::slope, in pixels per unit of clip space. Edges with a
-// larger derivative have no gradient.
+// Largest absolute value of the derivatives in Crossing::slope, in pixels per unit of clip space. Edges with a larger
+// derivative have no gradient.
 constexpr float kMaxSlope = 1.0e18f;
 
 struct Mesh {
@@ -46,15 +50,15 @@ FOURD_HD static inline Vertex vertex_at(const Mesh& mesh, std::size_t first_vert
     return {at[0], at[1], at[3]};
 }
 
-// The determinant of p, q and r. Its sign gives the side on which r lies, relative to the plane through p, q and the
-// camera. The determinant is computed from differences, so that it is exactly 0 if two vertices are equal.
+// Returns the determinant of p, q and r. Its sign states on which side of the plane through p, q and the camera the
+// vertex r lies. The determinant is computed from differences, so that it is exactly 0 if two vertices are equal.
 FOURD_HD static inline float side_of(const Vertex& p, const Vertex& q, const Vertex& r) {
     const Vertex e{q.x - p.x, q.y - p.y, q.w - p.w}, d{r.x - p.x, r.y - p.y, r.w - p.w};
     return (p.x * (e.y * d.w - e.w * d.y) + p.y * (e.w * d.x - e.x * d.w)) + p.w * (e.x * d.y - e.y * d.x);
 }
 
-// Bit i is 1 if the edge opposite to vertex i of the triangle is a silhouette. An edge is a silhouette unless two
-// triangles share it and lie on opposite sides of it in the image.
+// Returns a mask in which bit i is 1 if the edge opposite to vertex i of the triangle is a silhouette. An edge is a
+// silhouette unless two triangles share it and lie on opposite sides of it in the image.
 FOURD_HD static inline std::uint8_t silhouettes_of(const Mesh& mesh, std::size_t first_vertex, std::size_t triangle) {
     const int* of = mesh.triangles + 3 * triangle;
     if (!mesh.has(of[0]) || !mesh.has(of[1]) || !mesh.has(of[2])) return 0;
@@ -81,9 +85,9 @@ struct Pair {
 };
 
 // Describes, as bits of a byte, the silhouette edges that cross the two pairs of a pixel. Bits 0 to 2 describe the pair
-// with the right neighbour. Bits 0 and 1 together are a number: 0 if no edge crosses the pair, otherwise the index (0 to
-// 2) of the edge in its triangle, plus 1. Bit 2 is set if the edge belongs to the triangle of the right neighbour. Bits
-// 3 to 5 describe the pair with the lower neighbour in the same way.
+// with the right neighbour. Bits 0 and 1 hold 0 if no edge crosses the pair, and otherwise the index (0 to 2) of the
+// edge in its triangle, plus 1. Bit 2 is set if the edge belongs to the triangle of the right neighbour. Bits 3 to 5
+// describe the pair with the lower neighbour in the same way.
 using Code = unsigned;
 constexpr int kBitsPerPair = 3;
 
@@ -142,9 +146,9 @@ struct Line {
 FOURD_HD static inline float magnitude(float value) { return value < 0 ? -value : value; }
 
 // Returns 1 plus the index (0 to 2) of the silhouette edge through which the segment from the owner's centre to the
-// other pixel's centre leaves the owner's triangle. Returns 0 if the segment leaves the triangle at no silhouette edge.
-// An edge is ignored if its angle to the segment, in pixel coordinates, is less than 45 degrees. Every piece of a
-// silhouette is therefore blended along only one axis. `silhouettes` is the result of silhouettes_of().
+// other pixel's centre leaves the owner's triangle, or 0 if the segment leaves the triangle at no silhouette edge.
+// Edges at less than 45 degrees to the segment, in pixel coordinates, are ignored, so that every piece of a silhouette
+// is blended along only one axis. `silhouettes` is the result of silhouettes_of().
 FOURD_HD static inline int crossed_edge(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int triangle,
                                         unsigned silhouettes) {
     const int* of = mesh.triangles + 3 * static_cast<std::size_t>(triangle);
@@ -169,8 +173,8 @@ FOURD_HD static inline int crossed_edge(const Mesh& mesh, std::size_t first_vert
         edge = i + 1;
     }
     if (edge == 0 || (silhouettes >> (edge - 1) & 1u) == 0) return 0;
-    // The infinite line through the edge crosses the segment. The crossing point must also lie between the two ends of
-    // the edge.
+    // The infinite line through the edge crosses the segment, but the crossing point must also lie between the two ends
+    // of the edge.
     for (int i = 0; i < 3; ++i) {
         if (i + 1 == edge) continue;
         const float slack = kTolerancePx * (magnitude(lines[i].fall_along) + magnitude(lines[i].fall_across));
@@ -186,8 +190,8 @@ FOURD_HD static inline int triangle_at(const Mesh& mesh, const float* pixel) {
     return triangle >= 0 && static_cast<std::size_t>(triangle) < mesh.triangle_count ? triangle : kNoTriangle;
 }
 
-// Whether the second pixel's triangle `two` is nearer than the first pixel's triangle `one`. At equal depths, the
-// triangle with the smaller index counts as nearer.
+// Returns true if the second pixel's triangle `two` is nearer than the first pixel's triangle `one`. At equal depths,
+// the triangle with the smaller index counts as nearer.
 FOURD_HD static inline bool second_is_nearer(const float* first, int one, const float* second, int two) {
     if (one == kNoTriangle || two == kNoTriangle) return one == kNoTriangle;
     return second[2] < first[2] || (second[2] == first[2] && two < one);

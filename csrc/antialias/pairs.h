@@ -45,7 +45,8 @@ struct View {
     FOURD_HD FOURD_INLINE const float* rast(std::size_t pixel) const { return plan.images.rast + 4 * pixel; }
 };
 
-// The three bits of Code (maths.h) that describe one pair of pixels. They are 0 if no silhouette edge crosses the pair.
+// Returns the three bits of a Code (maths.h) that describe one pair of pixels, or 0 if no silhouette edge crosses the
+// pair.
 FOURD_HD static inline Code analyse(const View& view, const Pair& pair) {
     const std::size_t first = view.pixel(pair.row, pair.column), second = view.neighbour(first, pair.axis);
     const Mesh& mesh = view.plan.mesh;
@@ -62,9 +63,9 @@ FOURD_HD static inline Code analyse(const View& view, const Pair& pair) {
     return edge == 0 ? 0 : code_of(edge, is_second, pair.axis);
 }
 
-// Returns whether the pair exists, and whether its owner shows a triangle with valid vertices. The owner is the pixel
-// with the nearer triangle, according to `code`. The result is always true for codes from analyse(). However, the
-// bindings do not check codes, so a caller can pass arbitrary codes to the backward kernels.
+// Returns true if the pair exists and its owner shows a triangle with valid vertices. The owner is the pixel with the
+// nearer triangle, according to `code`. The result is always true for codes from analyse(), but the bindings do not
+// check codes, so a caller can pass arbitrary codes to the backward kernels.
 FOURD_HD static inline bool has_owner(const View& view, const Pair& pair, Code code) {
     if (pair.axis == 0 ? pair.column + 1 >= view.width : pair.row + 1 >= view.height) return false;
     const std::size_t first = view.pixel(pair.row, pair.column);
@@ -96,7 +97,8 @@ struct Blend {
     }
 };
 
-// The derivative of the loss with respect to the distance of the crossing point from the owner's centre, in pixels.
+// Returns the derivative of the loss with respect to the distance of the crossing point from the owner's centre, in
+// pixels.
 FOURD_HD static inline float crossing_gradient(const View& view, const Blend& blend, const float* gradient) {
     const std::size_t changed = blend.changed * view.channels, source = blend.source * view.channels;
     const float* colours = view.plan.images.colours;

@@ -6,8 +6,8 @@ namespace nb = nanobind;
 namespace fourd::cuda {
 
 void bind_module(nb::module_& module) {
-    // The entry estimators stay allocated until the process ends. Without this call, nanobind would report the
-    // estimators as leaks.
+    // Without this call, nanobind would report the entry estimators as leaks, because they stay allocated until the
+    // process ends.
     nb::set_leak_warnings(false);
     nb::class_<device::EntryEstimator>(module, "EntryEstimator",
                                        "Predicts the number of entries of an image from earlier images.")

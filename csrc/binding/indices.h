@@ -1,4 +1,4 @@
-// Checks of arrays of indices from Python.
+// Checks arrays of indices from Python.
 #pragma once
 
 #include <nanobind/nanobind.h>

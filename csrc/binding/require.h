@@ -11,7 +11,7 @@ inline void require(bool condition, const char* message) {
     if (!condition) throw std::invalid_argument(message);
 }
 
-// Limits a requested number of threads to the range from 1 to 256.
+// Clamps a requested number of threads to the range from 1 to 256.
 inline int clamp_threads(int threads) { return std::clamp(threads, 1, 256); }
 
 }  // namespace fourd

@@ -1,7 +1,8 @@
 // Computes the logits for blending source views with a small MLP. The logit of a point in a view is
-// range * tanh((out . relu(point + weight^T sample) + bias) / range). The vector `point` is the point's contribution to
-// the hidden layer. The vector `sample` has the channels of the point in the view. The kernel never stores the hidden
-// layer for all views and points at once. Callers check shapes, and arrays are dense.
+//     range * tanh((out . relu(point + weight^T sample) + bias) / range),
+// where `point` is the point's contribution to the hidden layer, and `sample` has the channels of the point in the
+// view. The kernel never stores the hidden layer for all views and points at once. Callers check shapes, and arrays are
+// dense.
 #pragma once
 
 #include <cstddef>
@@ -43,8 +44,8 @@ struct Gradients {
 // Writes the logits to `logits` (views, count).
 void logits(const Mlp& mlp, const Inputs& inputs, float* logits);
 
-// `logits` (views, count) is the output of the function logits(). `gradient` (views, count) is the gradient of the loss
-// with respect to the logits.
+// Computes the gradients of logits(). `logits` (views, count) is the output of logits(), and `gradient` (views, count)
+// is the gradient of the loss with respect to this output.
 void logits_backward(const Mlp& mlp, const Inputs& inputs, const float* logits, const float* gradient,
                      const Gradients& out);
 

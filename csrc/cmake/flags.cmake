@@ -2,7 +2,7 @@
 #
 #   FOURD_WARNINGS     Warnings. They are errors if FOURD_WERROR is on.
 #   FOURD_FLAGS_<set>  Flags of an instruction set: baseline, avx2 or avx512.
-#   FOURD_EXACT        No fused multiply-add. Results have the same bits with every instruction set.
+#   FOURD_EXACT        No fused multiply-add, so that results have the same bits with every instruction set.
 #   FOURD_TOLERANT     The compiler may use fused multiply-add.
 #   FOURD_VECTORIZE    Conditional expressions compile without branches, because floating-point exceptions are ignored.
 #                      Results are unchanged.
@@ -34,7 +34,7 @@ if(MSVC)
   target_compile_definitions(fourd_options INTERFACE NOMINMAX _CRT_SECURE_NO_WARNINGS)
 else()
   set(FOURD_WARNINGS -Wall -Wextra -Wpedantic)
-  # The instruction prfchw prefetches for writing. Processors without prfchw ignore the instruction.
+  # The compiler may use prfchw, which prefetches for writing. Processors without this instruction ignore it.
   set(FOURD_FLAGS_avx2 -mavx2 -mfma -mf16c -mprfchw)
   set(FOURD_FLAGS_avx512 -mavx512f -mavx512dq -mavx512vl -mfma)
   set(FOURD_EXACT -ffp-contract=off)

@@ -14,9 +14,9 @@
 
 namespace fourd {
 
-// Arrays start at the beginning of a cache line. An element whose size divides the size of a cache line therefore never
-// lies in two cache lines. A renderer reads elements of 32 bytes in scattered order. With the 16-byte alignment of
-// `new`, half of these reads would need two cache lines.
+// Arrays are aligned to cache lines, so an element whose size divides the size of a cache line never lies in two of
+// them. With the 16-byte alignment of `new`, half of a renderer's scattered reads of 32-byte elements could need two
+// cache lines.
 template <typename T>
 class Buffer {
     static_assert(std::is_trivially_copyable<T>::value, "elements stay uninitialised");

@@ -1,14 +1,14 @@
 // Selects the instruction set of a kernel at run time. All CPU kernels use this selection.
 //
-// The inner loops of a kernel are in a separate file, cpu/loops.cpp. fourd_kernel(DISPATCH ...) compiles cpu/loops.cpp
-// once for each instruction set from the baseline to the argument WIDEST. For each instruction set, fourd_kernel
-// defines the macro FOURD_SIMD as the name of the set. The header cpu/loops.h declares a struct Loops of function
-// pointers and ends with FOURD_DISPATCH(Loops, Simd::WIDEST). cpu/loops.cpp defines the functions and the table
-// `const Loops loops` in the namespace FOURD_SIMD, inside the namespace of the kernel.
+// The inner loops of a kernel are in a separate file, cpu/loops.cpp. fourd_kernel(DISPATCH ...) compiles this file once
+// for each instruction set, from the baseline up to the argument WIDEST, and defines the macro FOURD_SIMD as the name
+// of the set. The header cpu/loops.h declares a struct Loops of function pointers and ends with FOURD_DISPATCH(Loops,
+// Simd::WIDEST). cpu/loops.cpp defines the functions and the table `const Loops loops` in the namespace FOURD_SIMD,
+// inside the namespace of the kernel.
 //
 // A dispatched file (a file that is compiled once per instruction set) must not call inline functions with external
-// linkage, for example the functions of standard containers. The linker keeps only one copy of each inline function in
-// the program, and that copy may need AVX-512. A dispatched file may call functions that are static, marked
+// linkage, such as the functions of standard containers, because the linker keeps only one copy of each inline function
+// in the program, and that copy may use AVX-512. A dispatched file may call functions that are static, marked
 // FOURD_INLINE or in namespace FOURD_SIMD.
 #pragma once
 

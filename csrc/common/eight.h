@@ -1,6 +1,6 @@
-// Vectors of eight floats for any instruction set. The vectors are used in loops that compilers do not vectorise
-// automatically. Functions take and return vectors by pointer, because the calling convention for vectors depends on
-// the instruction set.
+// Vectors of eight floats for any instruction set, used in loops that compilers do not vectorise automatically.
+// Functions take and return vectors by pointer, because the calling convention for vectors depends on the instruction
+// set.
 #pragma once
 
 #include <cstddef>

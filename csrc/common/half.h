@@ -9,9 +9,9 @@
 
 namespace fourd {
 
-// Converts half precision to float32. The exponent and the mantissa are shifted to their places in a float. The float
-// is then multiplied by 2^112, because the exponent biases differ by 112. The conversion is exact for subnormal numbers
-// too. Infinity and NaN become finite values with a magnitude of 65536 or more.
+// Converts half precision to float32: shifts the exponent and the mantissa to their places in a float, then multiplies
+// the float by 2^112, because the exponent biases differ by 112. The conversion is exact, also for subnormal numbers.
+// Infinity and NaN become finite values with a magnitude of 65536 or more.
 FOURD_HD FOURD_INLINE float from_half(std::uint16_t half) {
     const std::uint32_t shifted = static_cast<std::uint32_t>(half & 0x7fff) << 13;
     float magnitude;
@@ -34,7 +34,7 @@ FOURD_HD FOURD_INLINE std::uint16_t to_half(float value) {
     std::uint32_t magnitude = bits & 0x7fffffffu;
     magnitude = magnitude < 0x477fe000u ? magnitude : 0x477fe000u;  // 65504
     const std::uint32_t normal = (magnitude + 0xfffu + (magnitude >> 13 & 1u) - (112u << 23)) >> 13;
-    // Adding 0.5 rounds a subnormal half, and moves its bits to the lowest bits of the float.
+    // Adding 0.5 rounds a subnormal half and moves its bits to the lowest bits of the float.
     float small;
     memcpy(&small, &magnitude, sizeof small);
     small += 0.5f;

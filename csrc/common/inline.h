@@ -1,8 +1,8 @@
-// Macros and functions for forced inlining, non-aliasing pointers, bit operations and prefetching. The syntax of these
-// features depends on the compiler.
+// Macros and functions for forced inlining, non-aliasing pointers, bit operations and prefetching, whose syntax depends
+// on the compiler.
 //
-// Dispatched files (common/dispatch.h) depend on forced inlining. If a function is not inlined, the linker can replace
-// the function by a copy that was compiled for another instruction set.
+// Dispatched files (common/dispatch.h) depend on forced inlining: the linker may replace a function that is not inlined
+// by a copy that was compiled for another instruction set.
 #pragma once
 
 #include <cstddef>
@@ -23,8 +23,8 @@
 #define FOURD_RESTRICT
 #endif
 
-// Write this macro before a loop over the lanes of a vector. Without the macro, GCC unrolls the loop and then does not
-// vectorise the result.
+// Write this macro before a loop over the lanes of a vector. Without it, GCC unrolls the loop and then fails to
+// vectorise it.
 #if defined(__GNUC__) && !defined(__clang__)
 #define FOURD_KEEP_LOOP _Pragma("GCC unroll 1")
 #else
@@ -61,7 +61,7 @@ FOURD_INLINE void prefetch_bytes_for_write(void* first, std::size_t bytes) {
     for (std::size_t at = 0; at < bytes; at += kCacheLine) prefetch_for_write(static_cast<char*>(first) + at);
 }
 
-// The number of bits that are 1 in `bits`.
+// Returns the number of bits that are 1 in `bits`.
 FOURD_INLINE int popcount(std::uint32_t bits) {
 #if defined(__GNUC__)
     return __builtin_popcount(bits);
@@ -72,7 +72,7 @@ FOURD_INLINE int popcount(std::uint32_t bits) {
 #endif
 }
 
-// The index of the lowest bit that is 1 in `bits`. At least one bit must be 1.
+// Returns the index of the lowest bit that is 1 in `bits`. At least one bit must be 1.
 FOURD_INLINE int lowest_bit(std::uint64_t bits) {
 #if defined(__GNUC__)
     return __builtin_ctzll(bits);

@@ -12,8 +12,7 @@
 namespace fourd {
 
 // Call this function before the first write to fresh memory. With huge pages, the first write to 50 MB takes a third of
-// the time that it takes with normal pages. With huge pages, scattered accesses also cause fewer TLB misses. The call
-// is only a hint and does not change results.
+// the time, and scattered accesses cause fewer TLB misses. The call is only a hint and does not change results.
 inline void prefer_huge_pages(void* memory, std::size_t bytes) {
 #if defined(__linux__) && defined(MADV_HUGEPAGE)
     constexpr std::uintptr_t kPage = std::uintptr_t{2} << 20;

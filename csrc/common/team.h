@@ -1,5 +1,5 @@
-// A thread pool that exists for one kernel call. The pool keeps no state between calls, so forks, exceptions and
-// sanitizers cause no problems. The pool does not need OpenMP.
+// A thread pool that exists for one kernel call. It keeps no state between calls, so forks, exceptions and sanitizers
+// cause no problems. It does not need OpenMP.
 #pragma once
 
 #include <algorithm>

@@ -50,7 +50,7 @@ class Executor {
         check(cudaGetLastError(), "a kernel's launch");
     }
 
-    // Calls kernel(index, lane) for each index below `count`. `count` must be a multiple of kWarpSize. kWarpSize
+    // Calls kernel(index, lane) for each index below `count`, which must be a multiple of kWarpSize, because kWarpSize
     // consecutive indices form a warp.
     template <typename Kernel>
     void for_each_in_warps(std::size_t count, const Kernel& kernel) const {

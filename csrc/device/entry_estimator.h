@@ -20,9 +20,9 @@ class EntryEstimator {
     EntryEstimator(const EntryEstimator&) = delete;
     EntryEstimator& operator=(const EntryEstimator&) = delete;
 
-    // The number of entries to allocate for the next image, which has `count` primitives. The result is 25% above the
-    // recent maximum count of entries. The maximum decays slowly, so that the allocation stays large enough if near and
-    // far views of a scene alternate.
+    // Returns the number of entries to allocate for the next image, which has `count` primitives. The result is 25%
+    // above the recent maximum count of entries. This maximum decays slowly, so that the allocation stays large enough
+    // if near and far views of a scene alternate.
     std::size_t entries(std::size_t count) {
         const std::uint64_t needed = *static_cast<volatile std::uint64_t*>(needed_);
         recent_max_ = std::max(recent_max_ - recent_max_ / 64, needed);

@@ -1,5 +1,5 @@
-// Selects where kernels run. If nvcc compiles this file, kernels run on a GPU. Without nvcc, kernels are emulated on
-// the CPU, for tests.
+// Selects where kernels run. If nvcc compiles this file, kernels run on a GPU. Otherwise, they are emulated on the CPU,
+// for tests.
 #pragma once
 
 #ifdef __CUDACC__

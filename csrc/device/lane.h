@@ -13,8 +13,8 @@ constexpr int kWarpSize = 32;  // Number of threads that run in lockstep.
 
 #ifdef __CUDACC__
 
-// One thread of a warp. All threads of a warp must call the same functions of Lane in the same order. All threads must
-// therefore leave a loop that contains such calls at the same iteration.
+// One thread of a warp. All threads of a warp must call the same functions of Lane in the same order, so they must
+// leave a loop that contains such calls at the same iteration.
 class Lane {
   public:
     FOURD_DEVICE bool any(bool value) const { return __any_sync(kAll, value) != 0; }
@@ -87,7 +87,7 @@ FOURD_DEVICE static inline void atomic_min(std::uint64_t* target, std::uint64_t 
 #endif
 }
 
-// `*target` and `value` must be at least 0. Floats that are at least 0 have the same order as their bits, read as
+// `*target` and `value` must be at least 0, because only such floats have the same order as their bits, read as
 // integers.
 FOURD_DEVICE static inline void atomic_max(float* target, float value) {
 #ifdef __CUDA_ARCH__

@@ -1,14 +1,16 @@
-// The maths of the lines along which two triangles intersect. The functions find the point where the intersection line
-// crosses the segment between the centres of two neighbouring pixels. The functions also compute the derivatives of
-// this point with respect to the vertices.
+// The maths of the lines along which two triangles intersect. The functions find the point where an intersection line
+// crosses the segment between the centres of two neighbouring pixels, and the derivatives of this point with respect to
+// the vertices.
 //
-// N_i is the linear function (antialias/maths.h) that is 0 on the edge opposite to vertex i of a triangle. At a pixel,
-// z/w of a triangle is the sum of b_i z_i, where b_i = N_i / V. V is the sum of all N_i w_i, and is the same at all
-// pixels. Let f_a and f_b be the coordinates of a pixel centre f along and across the direction from one pixel of the
-// pair to the other. N_i is linear in f, so z/w is also a linear function of f, with constant coefficients p_a, p_b and
-// p_w: D(f) = p_a f_a + p_b f_b + p_w. If vertex i moves by (da, db, dz, dw), D(f) changes by
-// b_i * (dz - p_a da - p_b db - p_w dw). The crossing is the point of the segment at which both triangles have the same
-// D(f).
+// N_i is the linear function (antialias/maths.h) that is 0 on the edge opposite to vertex i of a triangle. V, the sum
+// of all N_i w_i, is the same at all pixels. At a pixel, z/w of a triangle is the sum of b_i z_i, where
+//     b_i = N_i / V.
+// Let f_a and f_b be the coordinates of a pixel centre f along and across the direction from one pixel of the pair to
+// the other. N_i is linear in f, so z/w is also a linear function of f, with constant coefficients p_a, p_b and p_w:
+//     D(f) = p_a f_a + p_b f_b + p_w
+// If vertex i moves by (da, db, dz, dw), D(f) changes by
+//     b_i * (dz - p_a da - p_b db - p_w dw).
+// The crossing is the point of the segment at which both triangles have the same D(f).
 #pragma once
 
 #include "antialias/maths.h"
@@ -42,8 +44,8 @@ FOURD_HD static inline bool is_valid(const Mesh& mesh, int triangle) {
     return mesh.has(of[0]) && mesh.has(of[1]) && mesh.has(of[2]);
 }
 
-// Whether two triangles share an edge. Two triangles with a common edge intersect only along that edge, so the kernel
-// does not search for an intersection.
+// Returns true if two triangles share an edge. Such triangles intersect only along this edge, so the kernel does not
+// search for an intersection.
 FOURD_HD static inline bool share_an_edge(const Mesh& mesh, int one, int two) {
     const int* p = mesh.triangles + 3 * static_cast<std::size_t>(one);
     const int* q = mesh.triangles + 3 * static_cast<std::size_t>(two);
@@ -71,7 +73,7 @@ struct Outline {
         }
     }
 
-    // Whether the triangle contains the centres of both pixels.
+    // Returns true if the triangle contains the centres of both pixels.
     FOURD_HD FOURD_INLINE bool contains_pair() const {
         const float sign = value[0] + value[1] + value[2] < 0 ? -1.0f : 1.0f;
         for (int i = 0; i < 3; ++i) {
@@ -99,8 +101,8 @@ struct Plane {
 
 // Returns true if the line along which two triangles intersect crosses the segment between the centres of two pixels.
 // The owner is the pixel whose triangle is nearer. Both triangles must contain both centres. At the owner's centre, the
-// owner's triangle (of_owner) must not be behind the other triangle. The function ignores an intersection line whose
-// angle to the segment is below 45 degrees. antialias::crossed_edge() ignores silhouette edges by the same rule.
+// owner's triangle (of_owner) must not be behind the other triangle. An intersection line is ignored if its angle to
+// the segment is below 45 degrees, which is the rule of antialias::crossed_edge() for silhouette edges.
 FOURD_HD static inline bool intersect(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int of_owner,
                                       int of_other) {
     const Outline second(mesh, first_vertex, sight, of_other);
@@ -123,7 +125,7 @@ FOURD_HD static inline bool is_moderate(const Position& slope) {
            magnitude(slope.z) <= antialias::kMaxSlope && magnitude(slope.w) <= antialias::kMaxSlope;
 }
 
-// The derivatives of the crossing's position, for two triangles for which intersect() is true.
+// Returns the derivatives of the crossing's position, for two triangles for which intersect() is true.
 FOURD_HD static inline Motion motion_of_intersection(const Mesh& mesh, std::size_t first_vertex, const Sight& sight,
                                                      int of_owner, int of_other) {
     const Outline outlines[2] = {Outline(mesh, first_vertex, sight, of_owner),

@@ -13,7 +13,7 @@ using antialias::Plan;
 using antialias::Rows;
 using antialias::View;
 
-// The codes are those of antialias/maths.h, with one additional value per pair. If the lower two of a pair's three bits
+// The codes are those of antialias/maths.h, with one additional value per pair: if the lower two of a pair's three bits
 // are 0 and the third bit is 1, the triangles of the two pixels intersect.
 FOURD_HD static inline Code intersection_code(int axis) { return antialias::code_of(0, true, axis); }
 FOURD_HD static inline bool is_intersection(Code code, int axis) {
@@ -23,10 +23,10 @@ FOURD_HD static inline int vertices_of(Code code, int axis) {
     return is_intersection(code, axis) ? kMaxVertices : (antialias::edge_of(code, axis) != 0 ? 2 : 0);
 }
 
-// The derivative of the loss with respect to the distance of the edge from the pixel `owner`, whose triangle is nearer.
-// If the edge moves by dt pixels away from the owner, the colour of one of the two pixels changes by
-// dt * (colour of the owner - colour of the other pixel). Either pixel can be the one that changes, so the function
-// returns the mean of the derivatives for both cases.
+// Returns the derivative of the loss with respect to the distance of the edge from the pixel `owner`, whose triangle is
+// nearer. If the edge moves by dt pixels away from the owner, the colour of one of the two pixels changes by dt *
+// (colour of the owner - colour of the other pixel). Either pixel can be the one that changes, so the result is the
+// mean of the derivatives for both cases.
 FOURD_HD static inline float change(const View& view, std::size_t owner, std::size_t other, const float* gradient) {
     const std::size_t one = owner * view.channels, two = other * view.channels;
     const float* colours = view.plan.images.colours;
@@ -37,8 +37,8 @@ FOURD_HD static inline float change(const View& view, std::size_t owner, std::si
     return 0.5f * sum;
 }
 
-// Returns the code of a pair. Returns 0 if the pair has no visibility edge, or if the loss does not depend on the
-// position of the edge.
+// Returns the code of a pair, or 0 if the pair has no visibility edge or the loss does not depend on the position of
+// the edge.
 FOURD_HD static inline Code find_edge(const View& view, const Pair& pair, const float* gradient) {
     const std::size_t first = view.pixel(pair.row, pair.column), second = view.neighbour(first, pair.axis);
     const Mesh& mesh = view.plan.mesh;

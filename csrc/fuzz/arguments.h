@@ -17,7 +17,7 @@ namespace fourd::fuzz {
 
 namespace nb = nanobind;
 
-// Maximum number of elements of one array. With this limit, a call takes only milliseconds.
+// Maximum number of elements of one array, so that a call takes only milliseconds.
 constexpr std::size_t kMaxElements = 1 << 16;
 
 // Index of hatch_spacing in stylize::Numbers. hatch_spacing must be at least 1; all other numbers of a style may be
@@ -70,7 +70,7 @@ class ArgumentMaker {
         return out;
     }
 
-    // Camera matrices (K, R and T) are usually valid, because no point is visible to an invalid camera.
+    // Camera matrices (K, R and T) are usually valid, because an invalid camera sees no points.
     nb::object numbers(const Parameter& parameter, const Rule& rule) {
         const bool is_camera = parameter.name == "camera" || parameter.name == "cameras";
         const bool is_softness = parameter.name == "softness";

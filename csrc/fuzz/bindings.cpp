@@ -74,16 +74,15 @@ void add_functions(const nb::object& owner, const std::string& prefix, bool is_c
     }
 }
 
-// Calls a function. If an argument is the result of another function, that function is called first, with the same
-// sizes.
+// Calls a function. If an argument is the result of another function, calls that function first, with the same sizes.
 nb::object call(const Function& function, const Rules& rules, Bytes& bytes, Sizes& sizes, int perturbed) {
     ArgumentMaker maker(bytes, sizes, rules, perturbed);
     nb::object tree;
     nb::list arguments;
     if (!function.owner.is_none()) arguments.append(function.owner());
     for (const Parameter& parameter : function.parameters) {
-        // `nodes` and `blocks` are the arrays of a bounding volume hierarchy, whose contents the bindings do not check.
-        // Valid hierarchies are therefore built by build_rays and build_discs.
+        // `nodes` and `blocks` are the arrays of a bounding volume hierarchy, whose contents the bindings do not check,
+        // so valid hierarchies are built by build_rays and build_discs.
         const int part = parameter.name == "nodes" ? 0 : parameter.name == "blocks" ? 1 : -1;
         if (part >= 0) {
             const Function& build = function.name == "composite_discs" ? *state->build_discs : *state->build_rays;
@@ -96,7 +95,7 @@ nb::object call(const Function& function, const Rules& rules, Bytes& bytes, Size
     return function.callable(*arguments);
 }
 
-// Returns whether the arguments were accepted.
+// Returns true if the arguments were accepted.
 bool try_call(const Function& function, const Rules& rules, Bytes& bytes) {
     try {
         Sizes sizes(bytes);

@@ -32,8 +32,8 @@ inline Rules parse_rules(const std::string& text) {
     return out;
 }
 
-// The sizes of one call, keyed by the letters in the rules. A size is read from the fuzzer's input when the size is
-// first used.
+// The sizes of one call, keyed by the letters in the rules. A size is read from the fuzzer's input when it is first
+// used.
 class Sizes {
   public:
     explicit Sizes(Bytes& bytes) : bytes_(bytes) {}

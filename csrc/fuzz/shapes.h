@@ -1,5 +1,5 @@
-// Rules for valid sizes of the arguments of all functions that are bound to Python. If a fuzzer chose all sizes at
-// random, few combinations would be valid.
+// Rules for valid sizes of the arguments of all functions that are bound to Python. A fuzzer needs them because few
+// combinations of random sizes would be valid.
 //
 // A rule NAME=A,B gives the sizes of the free axes (axes that may have any size) of the array NAME, or the value of the
 // integer argument NAME. NAME*L gives the length L of a list. NAME*L=A,B gives the length, and the sizes of the arrays

@@ -1,4 +1,4 @@
-// Encodes points by a multi-resolution hash grid. Callers check shapes. Every pointer points to a dense row-major
+// Encodes points with a multi-resolution hash grid. Callers check shapes. Every pointer points to a dense row-major
 // array.
 #pragma once
 
@@ -26,8 +26,9 @@ struct Query {
 // Writes to `out` (count, level_count * features) the concatenated features of all levels.
 void encode(const Query& query, float* out);
 
-// `gradient` (count, level_count * features) is the gradient of the loss with respect to the encoding. The function
-// overwrites grad_table (entries, features) and grad_coordinates (count, 3). Each of these two pointers may be null.
+// Computes the gradients of encode(). `gradient` (count, level_count * features) is the gradient of the loss with
+// respect to the encoding. The function overwrites grad_table (entries, features) and grad_coordinates (count, 3). Each
+// of these two pointers may be null.
 void encode_backward(const Query& query, const float* gradient, float* grad_table, float* grad_coordinates);
 
 }  // namespace fourd::hashgrid

@@ -18,17 +18,17 @@ constexpr int kCorners = 8;
 constexpr std::size_t kAlign = 16;
 
 // A level has (resolution + 1)^3 grid vertices on [0, 1]^3. The entries of the level start at index `first` of the
-// table. If there are enough entries, each vertex has its own entry. If there are fewer entries than vertices, a
-// spatial hash assigns vertices to entries.
+// table. Each vertex has its own entry if there are enough entries. Otherwise, a spatial hash assigns vertices to
+// entries.
 struct Level {
     std::size_t first;
     std::uint32_t entries;    // Number of entries, which is a power of two if the level is hashed.
-    std::uint32_t stride[3];  // For each axis, the factor by which callers of entry_of multiply the index.
+    std::uint32_t stride[3];  // For each axis, the factor by which callers of entry_of multiply the vertex index.
     int resolution;
     bool hashed;
 };
 
-// The number of vertices of a level with `resolution` cells per side.
+// Returns the number of vertices of a level with `resolution` cells per side.
 FOURD_HD static FOURD_INLINE std::uint64_t samples_of(int resolution) {
     const std::uint64_t side = static_cast<std::uint64_t>(resolution) + 1;
     return side * side * side;
@@ -46,15 +46,15 @@ FOURD_HD static FOURD_INLINE Level level_of(int resolution, int log2_entries, st
     return {first, max_entries, {1u, 2654435761u, 805459861u}, resolution, true};
 }
 
-// The linear interpolation between the two grid vertices around a coordinate. The vertex with index `low` has weight
-// 1 - fraction, and the next vertex has weight fraction.
+// The linear interpolation between the two grid vertices around a coordinate. The vertex with the index `low` has the
+// weight 1 - fraction, and the next vertex has the weight `fraction`.
 struct Interpolation {
     std::uint32_t low;
     float fraction;
     float slope;  // Vertices per unit of the coordinate, or 0 if the coordinate was clamped.
 };
 
-// A coordinate that is NaN counts as 0.
+// Finds the two grid vertices around a coordinate. NaN counts as 0.
 FOURD_HD static FOURD_INLINE Interpolation interpolate_axis(const Level& level, float coordinate) {
     const float size = static_cast<float>(level.resolution);
     const bool inside = coordinate >= 0.0f && coordinate <= 1.0f;

@@ -24,8 +24,8 @@ struct InterpolateArguments {
 
     interpolate::Query query;
 
-    // `diff` has channel indices. Each index must be below the number of channels. For arrays on a GPU, only op.py
-    // checks the indices in `diff`.
+    // `diff` has channel indices, each below the number of channels. If the arrays are on a GPU, only op.py checks
+    // these indices.
     InterpolateArguments(const Attributes<const float>& attr, const Image<const float>& rast, const Triangles& tri,
                          const std::optional<Image<const float>>& rast_db, const Channels& diff, int threads,
                          Simd simd) {

@@ -1,7 +1,7 @@
 // Assigns indices (slots) to the triangles that are visible in a tile of an image. Also sums, for each mesh vertex, the
 // values that the tiles hold for the corners of their triangles. The backward passes of several operators use this
-// file. Values are added in a fixed order, first over the pixels of a tile, then over the tiles. The sums therefore do
-// not depend on the number of threads.
+// file. Values are added in a fixed order, first over the pixels of a tile, then over the tiles, so the sums do not
+// depend on the number of threads.
 #pragma once
 
 #include <cstddef>
@@ -15,8 +15,8 @@ namespace fourd::meshes {
 
 constexpr int kTile = 32;  // Side of a tile in pixels.
 constexpr int kTilePixels = kTile * kTile;
-// While a row of a tile is read, the row that lies kRowsAhead rows below is prefetched. The rows are far apart in
-// memory, so the processor does not prefetch them by itself.
+// While a row of a tile is read, the row kRowsAhead rows below is prefetched, because the rows are so far apart in
+// memory that the processor does not prefetch them by itself.
 constexpr int kRowsAhead = 4;
 
 // An image whose fourth channel has encoded triangle ids (common/triangle_id.h).

@@ -8,8 +8,8 @@
 
 namespace fourd::pixel_filter {
 
-// Mean of three neighbouring values with the weights side, 1 - 2 * side and side. For three equal values, the result is
-// exactly that value.
+// Returns the mean of three neighbouring values with the weights side, 1 - 2 * side and side. For three equal values,
+// the result is exactly that value.
 FOURD_HD FOURD_INLINE float mean_of(float before, float centre, float after, float side) {
     return centre + side * ((before - centre) + (after - centre));
 }

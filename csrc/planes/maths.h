@@ -16,8 +16,8 @@ struct Plane {
     int x_axis, y_axis;  // Indices (0 to 3) of the coordinates that select the column and the row.
 };
 
-// The linear interpolation between the two samples around a coordinate. The sample with index `low` has weight
-// 1 - fraction, and the next sample has weight fraction.
+// The linear interpolation between the two samples around a coordinate. The sample with the index `low` has the weight
+// 1 - fraction, and the next sample has the weight `fraction`.
 struct Interpolation {
     int low;
     float fraction;

@@ -24,9 +24,9 @@ struct Query {
 // Writes to `out` (count, plane_count * features) the concatenated features of all planes.
 void sample(const Query& query, float* out);
 
-// `gradient` (count, plane_count * features) is the gradient of the loss with respect to the output of sample(). The
-// function overwrites grad_planes, which has one array for each plane, with the shape of the plane's values. The
-// function also overwrites grad_coordinates (count, 4) unless grad_coordinates is null.
+// Computes the gradients of sample(). `gradient` (count, plane_count * features) is the gradient of the loss with
+// respect to the output of sample(). The function overwrites grad_planes, which has one array for each plane, in the
+// shape of the plane's values, and grad_coordinates (count, 4), which may be null.
 void sample_backward(const Query& query, const float* gradient, float* const* grad_planes, float* grad_coordinates);
 
 }  // namespace fourd::planes

@@ -42,8 +42,8 @@ class EmptyTiles {
 // Shades and composites a frame into an 8-bit image, in one call.
 class Player {
   public:
-    // `settings` and `shading` must have the same `threads` and the same `simd`. The size of canvas.rgba is the image
-    // size of the camera.
+    // `settings` and `shading` must have the same `threads` and the same `simd`. canvas.rgba has the image size of
+    // settings.camera.
     void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
               const points::Canvas& canvas);
 

@@ -46,12 +46,12 @@ struct SplatGradient {
     float dx, dy, square, falloff, z;
 };
 
-// The range, along one axis, of the pixels whose centres are within rho of `centre`. The range is clipped to [0, size),
-// and is empty if first > last. The bounds are clipped before they are rounded. In this order, the code needs no
-// branches, and compilers can vectorise it.
+// Computes the range, along one axis, of the pixels whose centres are within rho of `centre`. The range is clipped to
+// [0, size), and is empty if first > last. The bounds are clipped before they are rounded, because the code then needs
+// no branches, and compilers can vectorise it.
 FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* first, int* last) {
-    // The hit test has a float32 rounding error of about 4e-7 * rho^2 in the squared distance. The range therefore uses
-    // a rho that is larger by a factor of 1 + 1e-6, so that it contains all hits.
+    // The hit test has a float32 rounding error of about 4e-7 * rho^2 in the squared distance, so the range uses a rho
+    // that is larger by a factor of 1 + 1e-6 to contain all hits.
     const double extent = static_cast<double>(rho) * (1.0 + 1e-6);
     double low = static_cast<double>(centre) - extent - 0.5, high = static_cast<double>(centre) + extent - 0.5;
     low = low > 0.0 ? low : 0.0;
@@ -83,9 +83,9 @@ struct Projection {
     bool visible;
 };
 
-// Projects a point. The point is culled if it is nearer than near_depth or outside the image. The point is also culled
-// if its radius or density is not positive, or if any of its numbers is not finite. For NaN, all comparisons of the
-// visibility test are false, so the point is culled.
+// Projects a point. The point is culled if it is nearer than near_depth or outside the image, if its radius or density
+// is not positive, or if any of its numbers is not finite. NaN is culled because all comparisons with NaN in the
+// visibility test are false.
 FOURD_HD static inline Projection project(const Pinhole& camera, float near_depth, const float* xyz, float radius,
                                           float density) {
     const float max_float = 3.402823466e38f;

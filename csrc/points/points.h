@@ -41,17 +41,17 @@ struct Canvas {
 
 // An 8-bit image with the visible surface of each pixel.
 struct Surface {
-    Canvas canvas;  // With a black background, the colours are premultiplied by alpha.
+    Canvas canvas;  // If the background is black, the colours are premultiplied by alpha.
     // Shape (height, width): coverage / depth. `depth` is the mean camera depth of the points that hit the pixel,
     // weighted by transmittance * alpha * front_weight (points/front_weight.h). The coverage is
     // clamp(3 * alpha - 1/2, 0, 1).
     float* inverse_depth;
     // Shape (height, width, 4): unit normal n as bytes 127 * n + 128, then 255 * coverage. At pixels without points, n
-    // is the zero vector, so the bytes are 128, 128, 128 and 0.
+    // is the zero vector and the coverage is 0, so the bytes are 128, 128, 128 and 0.
     std::uint8_t* normal;
-    // From 0 to below 1: the weight of the inverse depth and normal of the previous image, at pixels where the previous
-    // image and the new image show the same surface. If `persistence` is above 0, all arrays must contain the previous
-    // image of the same camera before the call.
+    // In [0, 1): the weight of the inverse depth and normal of the previous image, at pixels where the previous image
+    // and the new image show the same surface. If `persistence` is above 0, all arrays must contain the previous image
+    // of the same camera before the call.
     float persistence;
 };
 

@@ -25,7 +25,7 @@ struct RasterizeArguments {
 
     rasterize::Query query;
 
-    // With `ranges`, all images share the same vertex positions. Without `ranges`, `pos` has separate positions for
+    // If `ranges` is given, all images share the same vertex positions. Otherwise, `pos` has separate positions for
     // each image of `rast`.
     RasterizeArguments(const Positions<const float>& pos, const Triangles& tri, const std::optional<Ranges>& ranges,
                        std::size_t images, std::size_t height, std::size_t width, int threads, Simd simd) {

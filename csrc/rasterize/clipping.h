@@ -1,6 +1,6 @@
 // Clips triangles against a frustum that is much wider than the image (Sutherland and Hodgman 1974). The new vertex on
-// a clipped edge depends only on the two vertices of the edge. Two triangles that share an edge therefore get the same
-// new vertices.
+// a clipped edge depends only on the two vertices of the edge, so two triangles that share an edge get the same new
+// vertices.
 #pragma once
 
 #include "rasterize/maths.h"
@@ -15,8 +15,8 @@ struct Corner {
     double x, y, w;
 };
 
-// Returns the distance of a corner from a clipping plane. The distance is positive inside the frustum. If all four
-// distances of a corner are positive, the w of the corner is at least 0.
+// Returns the distance of a corner from a clipping plane. The distance is positive inside the frustum. If the distances
+// of a corner from all four planes are positive, its w is at least 0.
 FOURD_HD static inline double clip_distance(const Screen& screen, int plane, const Corner& corner) {
     const double guard = plane < 2 ? screen.guard_x : screen.guard_y;
     const double coordinate = plane < 2 ? corner.x : corner.y;
@@ -70,9 +70,8 @@ FOURD_HD static inline bool all_inside(const Snapped& a, const Snapped& b, const
     return a.state == VertexState::inside && b.state == VertexState::inside && c.state == VertexState::inside;
 }
 
-// Sets the reference pixel of a triangle's Planes (maths.h). At this pixel, the functions have the values c. For a
-// clipped triangle, the reference pixel is the centre of the image. For any other triangle, it is the first pixel of
-// the bounding box.
+// Sets the reference pixel of a triangle's Planes (maths.h), at which the functions have the values c. It is the centre
+// of the image for a clipped triangle, and the first pixel of the bounding box for any other triangle.
 FOURD_HD static inline void set_reference(const Screen& screen, bool is_clipped, const Bounds& bounds, Piece* piece) {
     piece->reference_x = static_cast<std::uint16_t>(is_clipped ? screen.width / 2 : bounds.left);
     piece->reference_y = static_cast<std::uint16_t>(is_clipped ? screen.height / 2 : bounds.top);

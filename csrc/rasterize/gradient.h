@@ -1,12 +1,14 @@
-// The gradient of the rasterizer, shared by every backend.
+// The gradient of the rasterizer, shared by every backend. maths.h defines M, f and b.
 //
-// If the vertex p_k = (x, y, w)_k moves by dp_k, the vector b = M^-1 f (maths.h) changes by -b_k M^-1 dp_k. If g is the
-// gradient with respect to b, the gradient with respect to p_k is therefore -b_k M^-T g. M is the same at all pixels of
-// a triangle, so only the products b_k g are summed over pixels. Let b_x and b_y be the derivatives of b along x and y.
-// A gradient g with respect to b_x adds -(b_x)_k M^-T g to the gradient with respect to p_k, and likewise for b_y.
-// Below, g0 and g1 are gradients with respect to b_0 and b_1, and gs is the gradient with respect to s = 1/w, which is
-// the sum of all b_k. The struct Planes stores b multiplied by a scale. The gradients g0, g1 and gs are divided by this
-// scale, so that the products of gradients and elements of b do not depend on the scale.
+// If the vertex p_k = (x, y, w)_k moves by dp_k, the vector b = M^-1 f changes by -b_k M^-1 dp_k. A gradient g with
+// respect to b therefore becomes the gradient -b_k M^-T g with respect to p_k. M is the same at all pixels of a
+// triangle, so only the products b_k g are summed over pixels. Let b_x be the derivative of b along x. A gradient g
+// with respect to b_x adds -(b_x)_k M^-T g to the gradient with respect to p_k. The same holds for b_y, the derivative
+// along y.
+//
+// Below, g0 and g1 are the gradients with respect to b_0 and b_1, and gs is the gradient with respect to s = 1/w, which
+// is the sum of all b_k. The struct Planes stores b multiplied by a scale. The gradients g0, g1 and gs are divided by
+// this scale, so that their products with elements of b do not depend on it.
 #pragma once
 
 #include "rasterize/maths.h"
@@ -21,10 +23,10 @@ FOURD_HD static inline float bounded(double gradient) {
     return static_cast<float>(gradient < kLargestGradient ? gradient : kLargestGradient);
 }
 
-// Computes the values that are summed over the pixels of a triangle. The 15 values are the 9 products of (g0, g1, gs)
-// and (b_0, b_1, s), and the gradients with respect to b_x (3 values) and b_y (3 values). `b` has the values of the
-// first three functions of Planes (maths.h) at the pixel. `x` and `y` have the slopes of these functions. grad_u and
-// grad_v are the gradients with respect to u and v in rast. `db` (4,) is the gradient with respect to rast_db.
+// Computes the 15 values that are summed over the pixels of a triangle: the 9 products of (g0, g1, gs) and (b_0, b_1,
+// s), and the gradients with respect to b_x (3 values) and b_y (3 values). `b` has the values of the first three
+// functions of Planes (maths.h) at the pixel, and `x` and `y` have their slopes. grad_u and grad_v are the gradients
+// with respect to u and v in rast. `db` (4,) is the gradient with respect to rast_db.
 template <bool kDerivatives>
 FOURD_HD static inline void pixel_gradient(const float* b, const float* x, const float* y, float grad_u, float grad_v,
                                            const float* db, float* out) {
@@ -59,8 +61,8 @@ FOURD_HD static inline void pixel_gradient(const float* b, const float* x, const
 }
 
 // Converts the sums over the pixels of a triangle to the gradients `out` (3, 4) with respect to x, y, z and w of its
-// vertices. `c`, `x` and `y` are the values and slopes of the first three functions of Planes (maths.h), called planes
-// below. `scale` is the scale of these planes, and (column, row) is their reference pixel.
+// vertices. `c` has the values of the first three functions of Planes (maths.h), called planes below, and `x` and `y`
+// have their slopes. `scale` is the scale of these planes, and (column, row) is their reference pixel.
 FOURD_HD static inline void vertex_gradients(const Screen& screen, int column, int row, const float* c, const float* x,
                                              const float* y, double scale, const float* sums, float* out) {
     // The planes as functions of normalised device coordinates: slopes along x and y, and the value at the centre of

@@ -2,16 +2,17 @@
 // fourd/ops/rasterize/reference.py computes the same numbers in the same order, so that kernel and reference find
 // exactly the same triangles.
 //
-// Coverage is computed with integers. Vertices are rounded to 1/256 pixel, and edge functions of rounded vertices have
-// no rounding error. A pixel is covered if its centre is inside all three edges. If a centre lies on an edge, the
-// triangle covers it only if the edge is a left or top edge of the triangle. A triangle with a vertex behind the camera
-// or far outside the image is clipped first.
+// Coverage is computed with integers: vertices are rounded to 1/256 pixel, so edge functions have no rounding error. A
+// pixel is covered if its centre is inside all three edges. If a centre lies on an edge, the triangle covers it only if
+// the edge is a left or top edge of the triangle. A triangle with a vertex behind the camera or far outside the image
+// is clipped first.
 //
 // The barycentric weights u and v of vertices 0 and 1, and z/w, are computed from the unclipped triangle (Olano and
-// Greer 1997, Triangle Scan Conversion using 2D Homogeneous Coordinates). The columns of the matrix M are the vertices
-// (x, y, w). (f_x, f_y) is a pixel centre in normalised device coordinates, and w is the interpolated w at this point.
-// The vector b = M^-1 f with f = (f_x, f_y, 1) has the elements b_k = (barycentric weight of vertex k) / w, and z/w is
-// the sum of z_k b_k.
+// Greer 1997, Triangle Scan Conversion using 2D Homogeneous Coordinates). Let M be the matrix whose columns are the
+// vertices (x, y, w), and let f = (f_x, f_y, 1), where (f_x, f_y) is a pixel centre in normalised device coordinates.
+// The vector b = M^-1 f has the elements
+//     b_k = (barycentric weight of vertex k) / w,
+// where w is the interpolated w at the pixel centre. z/w is the sum of z_k b_k.
 //
 // All functions are static, so that each file keeps its own copy, compiled for the instruction set of that file.
 #pragma once
@@ -70,7 +71,7 @@ FOURD_HD static inline std::int32_t round_half_up(float value) {
     return whole + (rest >= 0.5f ? 1 : 0) - (rest < -0.5f ? 1 : 0);
 }
 
-// Requires w > 0, |x| <= guard_x * w and |y| <= guard_y * w.
+// Rounds a vertex to 1/256 pixel. Requires w > 0, |x| <= guard_x * w and |y| <= guard_y * w.
 FOURD_HD static inline Snapped snap_inside(const Screen& screen, float x, float y, float w) {
     const float u = x / w, v = y / w;
     return {round_half_up(u * static_cast<float>(kHalfPixel * screen.width)) + kHalfPixel * screen.width,
@@ -103,12 +104,12 @@ struct Bounds {
 FOURD_HD static inline int smaller(int a, int b) { return a < b ? a : b; }
 FOURD_HD static inline int larger(int a, int b) { return a > b ? a : b; }
 
-// Positions along one axis are in units of 1/256 pixel. first_pixel() returns the first pixel whose centre is not
-// before a position, and last_pixel() returns the last pixel whose centre is not after it.
+// Positions along one axis are in units of 1/256 pixel. first_pixel() returns the first pixel whose centre is at or
+// after a position, and last_pixel() returns the last pixel whose centre is at or before it.
 FOURD_HD static inline int first_pixel(int position) { return (position + kHalfPixel - 1) >> kSubpixelBits; }
 FOURD_HD static inline int last_pixel(int position) { return (position - kHalfPixel) >> kSubpixelBits; }
 
-// The pixels of the image whose centres are inside a piece's bounding box.
+// Returns the range of the image pixels whose centres are inside a piece's bounding box.
 FOURD_HD static inline Bounds bounds_of(const Screen& screen, const Piece& piece) {
     const int low_x = smaller(smaller(piece.x[0], piece.x[1]), piece.x[2]);
     const int high_x = larger(larger(piece.x[0], piece.x[1]), piece.x[2]);
@@ -136,9 +137,9 @@ struct Edge {
     std::int32_t x, y;
 };
 
-// The edge function from vertex k to the next vertex, with its value at the pixel (column, row). Values are divided by
-// 256 and rounded down. Before the division, the values at any two pixels differ by a multiple of 256. The slopes are
-// therefore exact, and rounding down keeps the sign at every pixel.
+// Returns the edge function from vertex k to the next vertex, with its value at the pixel (column, row). Values are
+// divided by 256 and rounded down. Before the division, the values at any two pixels differ by a multiple of 256, so
+// the slopes are exact, and rounding down keeps the sign at every pixel.
 FOURD_HD static inline Edge edge_of(const Piece& piece, int k, int column, int row) {
     const int next = k == 2 ? 0 : k + 1;
     const std::int32_t dx = piece.x[next] - piece.x[k], dy = piece.y[next] - piece.y[k];
@@ -150,13 +151,13 @@ FOURD_HD static inline Edge edge_of(const Piece& piece, int k, int column, int r
     return {value >> kSubpixelBits, slope_x, slope_y};
 }
 
-// Returns the largest value of an edge function in a rectangle of `columns` x `rows` pixels. At the first pixel of the
-// rectangle, the value is edge.value.
+// Returns the largest value of an edge function in a rectangle of `columns` x `rows` pixels. edge.value is the value at
+// the first pixel of the rectangle.
 FOURD_HD static inline std::int64_t largest_value(const Edge& edge, int columns, int rows) {
     return edge.value + std::int64_t{larger(edge.x, 0)} * (columns - 1) + std::int64_t{larger(edge.y, 0)} * (rows - 1);
 }
 
-// The normalised device coordinate of a pixel's centre.
+// Returns the normalised device coordinate of a pixel's centre.
 FOURD_HD static inline double device_coordinate(int pixel, int side) {
     return static_cast<double>(2 * pixel + 1) / static_cast<double>(side) - 1.0;
 }
@@ -168,9 +169,9 @@ FOURD_HD static inline double device_coordinate(int pixel, int side) {
 struct Planes {
     double scale;
     float c[kPlanes], x[kPlanes], y[kPlanes];
-    // The range of z/w of the vertices. z/w is clamped to this range. The rounded triangle can cover a pixel centre
-    // just outside the exact triangle. If the triangle is seen edge-on, its unclamped depth at that centre is
-    // arbitrary.
+    // The range of z/w of the vertices, to which z/w is clamped. The rounded triangle can cover a pixel centre just
+    // outside the exact triangle. Without the clamp, the depth at this centre would be arbitrary if the triangle is
+    // seen edge-on.
     float low, high;
     bool is_valid;
 };
@@ -185,7 +186,7 @@ FOURD_HD static inline bool is_moderate(double value) {
     return value >= -kLargestCoefficient && value <= kLargestCoefficient;
 }
 
-// p0, p1 and p2 are clip coordinates x, y, z, w.
+// Computes the Planes of a triangle. p0, p1 and p2 are the clip coordinates x, y, z, w of its vertices.
 FOURD_HD static inline Planes make_planes(const Screen& screen, const float* p0, const float* p1, const float* p2,
                                           int reference_x, int reference_y) {
     const double a[3] = {p0[0], p0[1], p0[3]}, b[3] = {p1[0], p1[1], p1[3]}, c[3] = {p2[0], p2[1], p2[3]};
@@ -232,7 +233,7 @@ FOURD_HD static inline Planes make_planes(const Screen& screen, const float* p0,
 
 FOURD_HD static inline float plane_at(float c, float x, float y, float dx, float dy) { return (c + y * dy) + x * dx; }
 
-// Adding 0 turns -0 into 0, so that equal depths have equal bits.
+// Clamps a depth to [low, high]. Adding 0 turns -0 into 0, so that equal depths have equal bits.
 FOURD_HD static inline float clamp_depth(float depth, float low, float high) {
     depth = depth < low ? low : depth;
     return (depth > high ? high : depth) + 0.0f;
@@ -243,7 +244,8 @@ struct Weights {
     float u, v, u_x, u_y, v_x, v_y;
 };
 
-// w0, w1 and inverse_w are the values of the first three planes at a pixel. x and y are the slopes of these planes.
+// Computes u, v and their derivatives. w0, w1 and inverse_w are the values of the first three planes at a pixel, and x
+// and y are the slopes of these planes.
 FOURD_HD static inline Weights weights_of(float w0, float w1, float inverse_w, const float* x, const float* y) {
     inverse_w = inverse_w > kSmallestInverseW ? inverse_w : kSmallestInverseW;
     const float w = 1.0f / inverse_w;

@@ -2,10 +2,10 @@
 // the same order.
 //
 // A triangle is hit if the watertight test of Woop, Benthin and Wald (2013, Watertight Ray/Triangle Intersection)
-// accepts the triangle, and if the ray meets the triangle's bounding box, enlarged by a padding (kPadding). The t of a
-// hit is clamped to the interval in which the ray is inside this box. All operations of the box test are monotonic,
-// even with rounding. If a box contains another box, a ray's interval of t in the outer box therefore always contains
-// its interval in the inner box. A tree of boxes thus loses no hit.
+// accepts it, and if the ray meets its bounding box, enlarged by a padding (kPadding). The t of a hit is clamped to the
+// interval in which the ray is inside this box. All operations of the box test are monotonic, even with rounding, so
+// the interval of t in a box always contains the interval in any smaller box inside it. A traversal that skips the
+// boxes that the ray misses therefore loses no hit.
 #pragma once
 
 #include <cmath>
@@ -25,7 +25,7 @@ constexpr float kMinDirection = 1e-18f;
 // errors of the watertight test are at most a quarter of the padding.
 constexpr float kPadding = 0x1p-21f;
 // Smallest absolute coordinate of a scaled direction (Ray) in box tests. A smaller coordinate is replaced by kMinShare
-// or -kMinShare. Its reciprocal, and products with the reciprocal, therefore stay finite.
+// or -kMinShare, so that its reciprocal, and products with the reciprocal, stay finite.
 constexpr float kMinShare = 1e-18f;
 constexpr float kTiny = 1.17549435e-38f;  // The smallest normal number.
 constexpr float kMaxFloat = 3.402823466e38f;
@@ -39,9 +39,9 @@ struct Ray {
     int x, y, z;        // A permutation of the axes. The direction has its largest absolute coordinate along axis z.
     float shear_x, shear_y, shear_z;
     float inverse[3];   // Reciprocals of the coordinates of the scaled direction.
-    // Consider the plane of all points whose coordinate i equals p. The ray meets this plane at
-    // t' = (p - origin[i]) * inverse[i]. With a padding on both sides, the plane becomes a slab. The ray enters the
-    // slab at t' = p * inverse[i] - enter[i], and leaves it at t' = p * inverse[i] - leave[i].
+    // The ray meets the plane in which coordinate i equals p at t' = (p - origin[i]) * inverse[i]. A padding on both
+    // sides turns the plane into a slab, which the ray enters at t' = p * inverse[i] - enter[i] and leaves at t' = p *
+    // inverse[i] - leave[i].
     float enter[3], leave[3];
     float scale, inverse_scale;
     float t_min, t_max;
@@ -112,7 +112,8 @@ FOURD_HD FOURD_INLINE float last_of(const Ray& ray, float t) {
     return t * ray.inverse_scale + kTiny * ray.inverse_scale;
 }
 
-// Whether the hit (t, triangle) comes after the hit (other_t, other). Hits are ordered by t, then by triangle index.
+// Returns true if the hit (t, triangle) comes after the hit (other_t, other). Hits are ordered by t, then by triangle
+// index.
 FOURD_HD FOURD_INLINE bool is_after(float t, std::int32_t triangle, float other_t, std::int32_t other) {
     return t > other_t || (t == other_t && triangle > other);
 }
@@ -123,8 +124,8 @@ struct Hit {
 };
 
 // The barycentric weights of the corners, not normalised. If a weight is 0 in float, all three weights are computed
-// again in double, where products of floats are exact. Two triangles with a common edge therefore agree on which side
-// of the edge the ray passes.
+// again in double, where products of floats are exact, so that two triangles with a common edge agree on which side of
+// the edge the ray passes.
 struct Weights {
     float a, b, c;
 };
@@ -140,7 +141,7 @@ FOURD_HD FOURD_INLINE Weights weights_of(const float ax, const float ay, const f
     return out;
 }
 
-// The interval of t' in which the ray is inside the padded box of a triangle.
+// Computes the interval of t' in which the ray is inside the padded box of a triangle.
 FOURD_HD FOURD_INLINE void box_interval(const Ray& ray, const float* a, const float* b, const float* c, float* first,
                                         float* last) {
     *first = -kMaxFloat;
@@ -155,7 +156,7 @@ FOURD_HD FOURD_INLINE void box_interval(const Ray& ray, const float* a, const fl
     }
 }
 
-// Intersects a ray with the triangle that has the corners a, b and c. Returns whether the triangle is hit with t in
+// Intersects a ray with the triangle that has the corners a, b and c. Returns true if the triangle is hit with t in
 // [t_min, t_max], and writes t, u and v. Rays hit a triangle from both sides, and also at its edges.
 FOURD_HD FOURD_INLINE bool intersect(const Ray& ray, const float* a, const float* b, const float* c, Hit* out) {
     const float az = a[ray.z] - ray.origin[ray.z], bz = b[ray.z] - ray.origin[ray.z], cz = c[ray.z] - ray.origin[ray.z];
@@ -182,12 +183,15 @@ FOURD_HD FOURD_INLINE bool intersect(const Ray& ray, const float* a, const float
     return out->t >= ray.t_min && out->t <= ray.t_max;
 }
 
-// The gradient of a hit. The hit solves origin + t * direction = u * a + v * b + (1 - u - v) * c. Let to_t, to_u and
-// to_v be the gradients of the loss with respect to t, u and v. Let M be the matrix with the columns -direction, a - c
-// and b - c, and y = M^-T (to_t, to_u, to_v). By implicit differentiation, the gradient with respect to the origin is
-// y, and the gradient with respect to the direction is t * y. The gradients with respect to the corners a, b and c are
-// -u * y, -v * y and -(1 - u - v) * y. If the ray lies in the plane of the triangle, the function returns false and
-// y = 0.
+// Computes y, the gradient of the loss with respect to the origin of the ray, by implicit differentiation. The hit
+// solves
+//     origin + t * direction = u * a + v * b + (1 - u - v) * c.
+// Let to_t, to_u and to_v be the gradients with respect to t, u and v, and let M be the matrix with the columns
+// -direction, a - c and b - c. The gradient with respect to the origin is
+//     y = M^-T (to_t, to_u, to_v).
+// The gradient with respect to the direction is t * y. The gradients with respect to the corners a, b and c are -u * y,
+// -v * y and -(1 - u - v) * y. If the ray lies in the plane of the triangle, the function returns false and sets y to
+// 0.
 FOURD_HD FOURD_INLINE bool hit_gradient(const float* direction, const float* a, const float* b, const float* c,
                                         float to_t, float to_u, float to_v, float* y) {
     double d[3], p[3], q[3];

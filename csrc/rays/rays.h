@@ -1,7 +1,7 @@
 // Ray tracing of triangle meshes. Callers check shapes. Every pointer points to a dense row-major array.
 //
-// The tree is a bounding volume hierarchy (BVH). Its nodes have up to eight children. Its leaves, called blocks, have
-// up to eight triangles. The index of a child node is larger than the index of its parent. A traversal skips only
+// The tree is a bounding volume hierarchy (BVH). Its nodes have up to eight children, and its leaves, called blocks,
+// have up to eight triangles. The index of a child node is larger than the index of its parent. A traversal skips only
 // triangles that the ray does not hit, so it finds the same hits as the test in maths.h on all triangles.
 #pragma once
 
@@ -72,7 +72,7 @@ Tree build(const Mesh& mesh, int threads);
 // built. Returns the new value of Tree::magnitude.
 float refit(const Mesh& mesh, Node* nodes, std::size_t node_count, Block* blocks, std::size_t block_count, int threads);
 
-// The expected number of nodes and blocks that a random ray visits if it hits the box of the root.
+// Returns the expected number of nodes and blocks that a random ray visits if it hits the box of the root.
 double expected_cost(const TreeView& tree);
 
 struct Rays {
@@ -83,8 +83,8 @@ struct Rays {
     std::size_t t_min_stride;
     const float* t_max;  // Shape (count,), or one number if t_max_stride is 0.
     std::size_t t_max_stride;
-    // Shape (count,) each, or null: the last hit to skip. All hits up to this hit, in the order of (t, triangle), are
-    // skipped.
+    // Shape (count,) each, or null: the last hit to skip. All hits up to and including this one, in the order of (t,
+    // triangle), are skipped.
     const float* after_t;
     const std::int32_t* after_triangle;
     int threads;

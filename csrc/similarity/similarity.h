@@ -20,9 +20,9 @@ struct Pictures {
     Simd simd;             // An instruction set that this machine supports.
 };
 
-// Returns the mean similarity over all channels and over the pixels whose window is inside the picture. Unless
-// `gradient` is null, the function also writes the gradient of this mean with respect to the picture (height, width,
-// channels).
+// Returns the mean similarity over all channels and over the pixels whose window is inside the picture. If `gradient`
+// (height, width, channels) is not null, the function also writes to it the gradient of this mean with respect to the
+// picture.
 double similarity(const Pictures& pictures, float* gradient);
 
 }  // namespace fourd::similarity

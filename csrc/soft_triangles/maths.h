@@ -1,14 +1,18 @@
 // The maths of soft rasterization (SoftRas, Liu et al. 2019), shared by every backend.
 // fourd/ops/soft_triangles/reference.py computes the same float32 numbers in the same order.
 //
-// The parameters sigma, gamma, near and far are arguments of rasterize_soft (fourd/raster/triangles/soft.py). The
-// coverage of the pixel p by a triangle is D = sigmoid(x). Inside the triangle, x = d^2 / sigma. Outside the triangle,
-// x = -d^2 / sigma. If Softness::barycentric is true, d is the smallest barycentric coordinate of p. Otherwise, d is
-// the distance of p from the nearest edge, in a unit in which the shorter side of the image has the length 2. The
-// inverse 1 / z of the triangle's depth at p is interpolated linearly in the image. The barycentric coordinates of this
-// interpolation are clamped to at least 0 and normalised to the sum 1. The weight of the triangle is
-// D * exp(-z * per_depth), where per_depth = 1 / ((far - near) * gamma). The weight in the paper is
-// D * exp((far - z) * per_depth), which is larger by the constant factor exp(far * per_depth).
+// The parameters sigma, gamma, near and far are arguments of rasterize_soft (fourd/raster/triangles/soft.py).
+//
+// The coverage of the pixel p by a triangle is D = sigmoid(x), with
+//     x = d^2 / sigma inside the triangle, and x = -d^2 / sigma outside.
+// If Softness::barycentric is true, d is the smallest barycentric coordinate of p. Otherwise, d is the distance of p
+// from the nearest edge, in a unit in which the shorter side of the image has the length 2.
+//
+// The inverse 1 / z of the triangle's depth at p is interpolated linearly in the image, with barycentric coordinates
+// that are clamped to at least 0 and normalised to the sum 1. With per_depth = 1 / ((far - near) * gamma), the weight
+// of the triangle is
+//     D * exp(-z * per_depth).
+// The weight in the paper, D * exp((far - z) * per_depth), is larger by the constant factor exp(far * per_depth).
 //
 // Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
 // compiled once per instruction set (common/dispatch.h).

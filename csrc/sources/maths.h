@@ -8,7 +8,8 @@
 
 namespace fourd::sources {
 
-// A pinhole camera: x_camera = rotation * x_world + translation; pixels = intrinsics * x_camera / z.
+// A pinhole camera: x_camera = rotation * x_world + translation; pixels = intrinsics * x_camera / z, where z is the
+// third coordinate of x_camera.
 struct Pinhole {
     float intrinsics[9];
     float rotation[9];

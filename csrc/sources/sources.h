@@ -46,12 +46,12 @@ struct Gradients {
     float* features;  // Null, or an array with the shape of Maps::features.
 };
 
-// The four samples around a projected point, in the image of a view.
+// Returns the four samples around a projected point, in the image of a view.
 FOURD_HD FOURD_INLINE Bilinear bilinear_in_image(const Maps& maps, const Projection& at) {
     return bilinear_at(at.u - 0.5f, at.v - 0.5f, maps.width, maps.height);
 }
 
-// Number of feature samples per image pixel, along x.
+// Returns the number of feature samples per image pixel, along x.
 FOURD_HD FOURD_INLINE float feature_scale_x(const Maps& maps) {
     return static_cast<float>(maps.feature_width) / static_cast<float>(maps.width);
 }
@@ -60,7 +60,7 @@ FOURD_HD FOURD_INLINE float feature_scale_y(const Maps& maps) {
     return static_cast<float>(maps.feature_height) / static_cast<float>(maps.height);
 }
 
-// The four samples around a projected point, in the features of a view.
+// Returns the four samples around a projected point, in the features of a view.
 FOURD_HD FOURD_INLINE Bilinear bilinear_in_features(const Maps& maps, const Projection& at) {
     return bilinear_at(at.u * feature_scale_x(maps) - 0.5f, at.v * feature_scale_y(maps) - 0.5f, maps.feature_width,
                        maps.feature_height);
@@ -75,9 +75,9 @@ FOURD_HD FOURD_INLINE int nearest_index(float place, int size) {
 // Softness values that are NaN or smaller than kMinSoftness are replaced by kMinSoftness.
 constexpr float kMinSoftness = 1e-12f;
 
-// The visibility weight of a view at a point: the squared matte times a decay factor. The factor is 1 up to a distance
-// of 2 * softness behind the visible surface, and decays exponentially beyond this distance. The matte is squared
-// because pixels on the silhouette contain some background.
+// Returns the visibility weight of a view at a point: the squared matte times a decay factor. The factor is 1 up to a
+// distance of 2 * softness behind the visible surface, and decays exponentially beyond this distance. The matte is
+// squared because pixels on the silhouette contain some background.
 FOURD_HD FOURD_INLINE float visibility(const Maps& maps, std::size_t view, const Projection& at, const Bilinear& image,
                                        float softness) {
     if (!(at.z > 0.0f)) return 0.0f;

@@ -3,10 +3,14 @@
 //
 // A projected triangle has the incentre s and the inradius r. phi_k(p) is the signed distance of a pixel p from edge k,
 // which is negative inside the triangle. At the incentre, phi_k(s) = -r for every edge. The quotient
-// a_k(p) = phi_k(p) / phi_k(s) is therefore 1 at the incentre and 0 on edge k. It is the linear function
-// 1 + slope_x[k] * (p.x - s.x) + slope_y[k] * (p.y - s.y). The alpha of the triangle at p is its opacity times the
-// window max(min_k a_k(p), 0)^sigma. For both orientations of the triangle, a_k = lambda_k * P / l_k with the
-// barycentric coordinates lambda_k, the edge lengths l_k and the perimeter P.
+//     a_k(p) = phi_k(p) / phi_k(s)
+// is therefore 1 at the incentre and 0 on edge k. It is the linear function
+//     a_k(p) = 1 + slope_x[k] * (p.x - s.x) + slope_y[k] * (p.y - s.y).
+// The alpha of the triangle at p is
+//     opacity * max(min_k a_k(p), 0)^sigma.
+// With the barycentric coordinates lambda_k, the edge lengths l_k and the perimeter P, the quotient is
+//     a_k = lambda_k * P / l_k
+// for both orientations of the triangle.
 //
 // Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
 // compiled once per instruction set (common/dispatch.h).
@@ -22,7 +26,7 @@
 
 namespace fourd::splat_triangles {
 
-constexpr float kMaxAlpha = 0.99f;            // Alpha is clamped to kMaxAlpha; farther triangles thus keep a gradient.
+constexpr float kMaxAlpha = 0.99f;            // Alpha is clamped to this value, so farther triangles keep a gradient.
 constexpr float kInverseMinAlpha = 255.0f;    // A triangle is skipped at pixels where its alpha is below 1 / 255.
 constexpr float kMinTransmittance = 1e-4f;    // Compositing of a pixel ends at this transmittance.
 constexpr float kSmallestWindow = 1e-7f;      // Values of min_k a_k below kSmallestWindow count as rounding errors.

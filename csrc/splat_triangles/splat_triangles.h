@@ -17,7 +17,7 @@ constexpr int kShapeSums = 11;    // Number of gradient sums per triangle: the m
 struct Mesh {
     const float* xyz;          // Shape (vertices, 3).
     const std::int32_t* tri;   // Shape (count, 3): vertex indices.
-    const float* features;     // Shape (count, channels). With geometry, the last 4 channels are normal and depth.
+    const float* features;     // Shape (count, channels). If `geometry` is true, the last 4 are normal and depth.
     const float* opacity;      // Shape (count,).
     const float* sigma;        // Shape (count,): exponent of the falloff from the incentre to the edges.
     std::size_t vertices;      // Below 2^31.
@@ -38,16 +38,16 @@ struct Image {
     float* features;       // Shape (height, width, channels without geometry).
     float* alpha;          // Shape (height, width).
     float* transmittance;  // Shape (height, width): 1 - alpha, without the rounding error of this difference.
-    float* normal;         // Shape (height, width, 3), or null without geometry.
-    float* depth;          // Shape (height, width), or null without geometry. Where alpha is 0, depth is 0.
+    float* normal;         // Shape (height, width, 3), or null if Mesh::geometry is false.
+    float* depth;          // Shape (height, width), or null if Mesh::geometry is false. Where alpha is 0, depth is 0.
 };
 
 // The image of the forward pass, and the gradients with respect to this image.
 struct ImageGradient {
     const float* features;
     const float* alpha;
-    const float* normal;  // Null without geometry.
-    const float* depth;   // Null without geometry.
+    const float* normal;  // Null if Mesh::geometry is false.
+    const float* depth;   // Null if Mesh::geometry is false.
     Image rendered;
 };
 

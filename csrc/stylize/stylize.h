@@ -13,9 +13,9 @@ constexpr int kTones = 256;       // Number of columns of the shade table.
 constexpr int kMaxRows = 64;      // Maximum number of rows of the shade table.
 constexpr int kMaxThickness = 8;  // Maximum distance, in pixels, between adjacent taps (samples) of a line filter.
 
-// Lines that are very short, called specks, are not drawn. Consider the squares around a pixel with sides of 2, 4, 8,
-// ... pixels. The line at the pixel is drawn only if each of these squares has a line on its border. Returns half the
-// side of the largest square, in pixels. The result is at most 32.
+// Returns half the side, in pixels, of the largest square that decides whether a line is a speck. The result is at most
+// 32. Specks are very short lines, and are not drawn: the line at a pixel is drawn only if each square around the pixel
+// with a side of 2, 4, 8, ... pixels, up to the largest square, has a line on its border.
 constexpr int speck_reach(int thickness) {
     int reach = 8;
     while (2 * reach <= 4 * (thickness + 1)) reach *= 2;
@@ -60,10 +60,10 @@ struct Surface {
     int width, height;
 };
 
-// Writes the picture to `out` (height, width, 4). `line_state` (height, width) is either null, or has the lines of the
-// previous image from the same camera. The function replaces the lines in `line_state` by the lines of the new image.
-// The lowest byte of a line_state element is the strength of the line, where 0 means no line. The upper 16 bits of the
-// element are the upper 16 bits of a float, which is the sum of the inverse depths at the nine taps of the line filter.
+// Writes the picture to `out` (height, width, 4). `line_state` (height, width) is either null or has the lines of the
+// previous image from the same camera, which the function replaces by the lines of the new image. The lowest byte of an
+// element of line_state is the strength of the line, where 0 means no line. The upper 16 bits of the element are the
+// upper 16 bits of a float, which is the sum of the inverse depths at the nine taps of the line filter.
 void stylize(const Surface& surface, const Style& style, int threads, Simd simd, std::uint32_t* line_state,
              std::uint8_t* out);
 

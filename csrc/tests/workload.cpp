@@ -157,8 +157,8 @@ std::function<void()> planes_workload(const Size& size, bool backward) {
     };
 }
 
-// Hash grid lookups at points along random lines, like the samples along camera rays. The hash grid has 16 levels with
-// 16 to 2048 cells per side, and 2 features per level. Each level has at most 2^layers entries.
+// Looks up a hash grid at points along random lines, like the samples along camera rays. The hash grid has 16 levels
+// with 16 to 2048 cells per side, and 2 features per level. Each level has at most 2^layers entries.
 std::function<void()> hashgrid_workload(const Size& size, bool backward) {
     constexpr std::size_t kPerLine = 128;
     constexpr int kLevels = 16, kFeatures = 2;

@@ -6,9 +6,9 @@
 
 namespace fourd::texture {
 
-// The axes of a face. Consider a ray from the cube's centre in the direction xyz = (x, y, z). Let
-// a = s_sign * xyz[s_axis], b = t_sign * xyz[t_axis] and m = |xyz[face / 2]|. The ray meets the face at
-// s = 0.5 * (a / m + 1) and t = 0.5 * (b / m + 1).
+// The axes of a face. A ray from the cube's centre in the direction xyz = (x, y, z) meets the face at (s, t):
+//     s = 0.5 * (a / m + 1), t = 0.5 * (b / m + 1)
+// Here a = s_sign * xyz[s_axis], b = t_sign * xyz[t_axis] and m = |xyz[face / 2]|.
 struct CubeFace {
     int s_axis, t_axis, m_axis;
     int s_sign, t_sign, m_sign;
@@ -49,8 +49,8 @@ FOURD_HD FOURD_INLINE CubePosition cube_position(float x, float y, float z) {
     return out;
 }
 
-// The footprint of a lookup on a cube with faces of size x size texels. uv_da has the derivatives of the direction
-// (x, y, z) with respect to the picture coordinates (X, Y): dx/dX, dx/dY, dy/dX, dy/dY, dz/dX, dz/dY.
+// Returns the footprint of a lookup on a cube with faces of size x size texels. uv_da has the derivatives of the
+// direction (x, y, z) with respect to the picture coordinates (X, Y): dx/dX, dx/dY, dy/dX, dy/dY, dz/dX, dz/dY.
 FOURD_HD FOURD_INLINE Footprint cube_footprint(const CubePosition& at, const float* uv_da, int size) {
     const CubeFace f = cube_face(at.face);
     const float scale = 0.5f * static_cast<float>(size) / at.m, by_s = at.a / at.m, by_t = at.b / at.m;
@@ -119,8 +119,8 @@ FOURD_HD FOURD_INLINE int neighbour_texel(int face, int column, int row, int siz
     return (other * size + other_row) * size + other_column;
 }
 
-// The four texels of a bilinear lookup on a cube. At a corner of the cube, one of the four texels does not exist. The
-// value of the missing texel is the mean of the other three, so its weight is divided among them.
+// Returns the four texels of a bilinear lookup on a cube. At a corner of the cube, one of the four texels does not
+// exist. Its value is the mean of the other three, so its weight is divided among them.
 FOURD_HD FOURD_INLINE Texels cube_texels(int face, float s, float t, int size, float is_used) {
     const Axis across = linear_axis<Boundary::cube>(s, size), down = linear_axis<Boundary::cube>(t, size);
     Texels out = texels_of(across, down, face * size * size, size, is_used);
@@ -147,7 +147,7 @@ FOURD_HD FOURD_INLINE Texels cube_texels(int face, float s, float t, int size, f
     return out;
 }
 
-// The texels of a lookup in an image of width x height texels. `face` is 0 unless the boundary mode is cube.
+// Returns the texels of a lookup in an image of width x height texels. `face` is 0 unless the boundary mode is cube.
 template <Boundary boundary, bool is_nearest>
 FOURD_HD FOURD_INLINE Texels texels_at(int face, float s, float t, int width, int height, float is_used) {
     if (boundary == Boundary::cube && !is_nearest) return cube_texels(face, s, t, width, is_used);

@@ -29,8 +29,8 @@ FOURD_HD FOURD_INLINE int floor_of(float x) {
     return towards_zero - (static_cast<float>(towards_zero) > x ? 1 : 0);
 }
 
-// The base-2 logarithm of a positive normal number, accurate to a few units in the last place. Compilers can vectorise
-// this function, but not std::log2.
+// Returns the base-2 logarithm of a positive normal number, accurate to a few units in the last place. Compilers can
+// vectorise this function, but not std::log2.
 FOURD_HD FOURD_INLINE float log2_of(float x) {
     constexpr std::uint32_t kSqrtHalf = 0x3f3504f3u;  // The bits of sqrt(0.5).
     std::uint32_t bits;
@@ -51,7 +51,7 @@ struct Footprint {
     float s_x, s_y, t_x, t_y;
 };
 
-// Derivatives are limited to +-kMaxDerivative, so that their fourth powers are finite. NaN stays NaN.
+// Derivatives are clamped to +-kMaxDerivative, so that their fourth powers are finite. NaN stays NaN.
 constexpr float kMaxDerivative = 1e9f;
 // A footprint whose longer axis has a squared length below kMinSquare counts as a point.
 constexpr float kMinSquare = 1e-36f;
@@ -61,9 +61,10 @@ FOURD_HD FOURD_INLINE float limited_derivative(float value) {
     return value < -kMaxDerivative ? -kMaxDerivative : value;
 }
 
-// A footprint maps a circle with a radius of one pixel to an ellipse in the texture. `square` is the squared length of
-// the ellipse's longer semi-axis. It is the larger eigenvalue of the symmetric matrix (a, c; c, b) = J^T J with the
-// Jacobian matrix J = (s_x, s_y; t_x, t_y). `root` is half the difference of the two eigenvalues.
+// The longer axis of a footprint. A footprint maps a circle with a radius of one pixel to an ellipse in the texture.
+// With the Jacobian matrix J = (s_x, s_y; t_x, t_y), the symmetric matrix (a, c; c, b) is J^T J. Its larger eigenvalue
+// `square` is the squared length of the ellipse's longer semi-axis. `root` is half the difference of the two
+// eigenvalues.
 struct LongerAxis {
     float a, b, c, root, square;
 };
@@ -89,15 +90,16 @@ FOURD_HD FOURD_INLINE LongerAxis longer_axis(const Footprint& d) {
     return out;
 }
 
-// The mip level of a footprint before the bias is added: the base-2 logarithm of the length of the footprint's longer
-// axis. A footprint that is a point gives a very negative level, and NaN gives NaN.
+// Returns the mip level of a footprint before the bias is added: the base-2 logarithm of the length of the footprint's
+// longer axis. A footprint that is a point gives a very negative level, and NaN gives NaN.
 FOURD_HD FOURD_INLINE float level_of(const Footprint& d) {
     const float square = longer_axis(d).square;
     const float level = square < kMinSquare ? -1e30f : 0.5f * log2_of(square);
     return square == square ? level : square;
 }
 
-// The derivatives of level_of() with respect to the four members of a footprint, or 0 if the footprint is a point.
+// Returns the derivatives of level_of() with respect to the four members of a footprint, or 0 if the footprint is a
+// point.
 FOURD_HD FOURD_INLINE Footprint level_slopes(const Footprint& d) {
     const LongerAxis axis = longer_axis(d);
     const bool is_point = !(axis.square >= kMinSquare);
@@ -109,7 +111,7 @@ FOURD_HD FOURD_INLINE Footprint level_slopes(const Footprint& d) {
             2.0f * by_a * d.t_x + by_c * d.t_y, 2.0f * by_b * d.t_y + by_c * d.t_x};
 }
 
-// The mip level clamped to the existing levels. NaN counts as level 0.
+// Returns the mip level clamped to the existing levels. NaN counts as level 0.
 FOURD_HD FOURD_INLINE float clamped_level(float level, int level_count) {
     const float last = static_cast<float>(level_count - 1);
     level = level > 0.0f ? level : 0.0f;
@@ -145,8 +147,8 @@ FOURD_HD FOURD_INLINE float clamp_to(float x, float low, float high) {
 }
 
 // Converts a finite coordinate for linear_axis and nearest_axis. With Boundary::wrap, the result is the fractional part
-// of u, in [0, 1]. If |u| is at least 2^23, the fractional part is 0, because every such float is an integer. With any
-// other boundary mode, the result is u.
+// of u, in [0, 1]. If |u| is at least 2^23, the fractional part is 0, because every such float is an integer. In all
+// other boundary modes, the result is u.
 template <Boundary boundary>
 FOURD_HD FOURD_INLINE float wrapped(float u) {
     if (boundary != Boundary::wrap) return u;

@@ -22,11 +22,11 @@ struct Shape {
     int channels;
     int level_count;            // From 1 to kMaxLevels.
 
-    // Number of texels of one item (texture) in this level. The number is below 2^31.
+    // Returns the number of texels of one item (texture) in this level, which is below 2^31.
     FOURD_HD FOURD_INLINE std::size_t texels(int level) const {
         return static_cast<std::size_t>(faces) * side_at(height, level) * side_at(width, level);
     }
-    // Number of floats of one item in this level.
+    // Returns the number of floats of one item in this level.
     FOURD_HD FOURD_INLINE std::size_t floats(int level) const { return texels(level) * channels; }
 };
 
@@ -66,8 +66,9 @@ struct Gradients {
 // Writes the sampled pictures to `out` (pictures, pixels, channels).
 void sample(const Query& query, float* out);
 
-// `gradient` is the gradient of the loss with respect to the `out` of sample(). If is_chain is true, build_mips()
-// computed levels 1 and up from level 0. Their gradients are then propagated back to level 0.
+// Computes the gradients of sample(). `gradient` is the gradient of the loss with respect to the `out` of sample(). If
+// is_chain is true, levels 1 and up were computed from level 0 by build_mips(), so their gradients are propagated back
+// to level 0.
 void sample_backward(const Query& query, const float* gradient, bool is_chain, const Gradients& out);
 
 // Computes levels 1 and up from level 0. A texel is the mean of 2 x 2 texels of the previous level, or of 2 texels if

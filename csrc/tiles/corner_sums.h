@@ -1,4 +1,4 @@
-// Sums the gradients of the corners of triangles at the vertices.
+// Sums, for each vertex, the gradients of the triangle corners at this vertex.
 #pragma once
 
 #include <algorithm>

@@ -1,7 +1,7 @@
 // Projects triangles to the image. All compositors of triangles share this code.
 //
-// Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static. They are compiled
-// once per instruction set (common/dispatch.h), and without `static` the linker would keep only one of the compiled
+// Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
+// compiled once per instruction set (common/dispatch.h), and the linker would otherwise keep only one of the compiled
 // copies.
 #pragma once
 
@@ -83,8 +83,8 @@ FOURD_HD static inline Edges<Number> edges_of(const Corners<Number>& at) {
     return out;
 }
 
-// Whether a triangle is within the limits near_depth, kMaxDepth, kFarthestPixel and kThinnest. If a coordinate is NaN,
-// the result is false, because all comparisons with NaN are false.
+// Returns true if a triangle is within the limits near_depth, kMaxDepth, kFarthestPixel and kThinnest. If a coordinate
+// is NaN, the result is false, because all comparisons with NaN are false.
 template <typename Number>
 FOURD_HD static inline auto is_in_range(const Corners<Number>& at, const Edges<Number>& edges, float near_depth) {
     const Number* const tag = nullptr;
@@ -99,8 +99,8 @@ FOURD_HD static inline auto is_in_range(const Corners<Number>& at, const Edges<N
     return out;
 }
 
-// Finds the range of tiles, along one axis, that have pixel centres from low - margin to high + margin. Returns false
-// if the range is empty.
+// Finds the range of tiles, along one axis, that contain pixel centres from low - margin to high + margin. Returns
+// false if the range is empty.
 template <typename Number>
 FOURD_HD static inline auto tile_span(Number low, Number high, int size, Number margin, Number* first, Number* last) {
     const Number* const tag = nullptr;

@@ -77,7 +77,7 @@ void DepthBins::radix_pass(const std::vector<Run>& runs, std::uint32_t low, int 
     std::swap(items_, spare_);
 }
 
-// Sorts the items of all spans stably by key. The spans may have gaps between them. The sorted items have no gaps.
+// Sorts the items of all spans stably by key. The spans may have gaps between them, but the sorted items have none.
 void DepthBins::radix_sort(std::vector<Run> runs, Team& team) {
     std::vector<KeyRange> ranges(runs.size());
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
@@ -99,8 +99,8 @@ void DepthBins::radix_sort(std::vector<Run> runs, Team& team) {
     }
 }
 
-// The rank of a primitive is its position in depth order. For each span of ranks, counts the entries of every tile. The
-// function also copies the tile ranges to ranked_tile_ranges_, in the order of ranks.
+// For each span of ranks (positions in depth order), counts the entries of every tile. Also copies the tile ranges to
+// ranked_tile_ranges_, in the order of ranks.
 std::vector<std::size_t> DepthBins::count_entries(const std::vector<Run>& runs, Team& team) {
     constexpr std::size_t kAhead = 32;
     const std::size_t count = static_cast<std::size_t>(tiles());

@@ -32,8 +32,8 @@ class DepthBins {
 
     // Bins the primitives into a band of tile rows that starts at row `top`, and returns the first row after the band.
     // The band has at least one row, and gets more rows as long as it has at most `max_entries` entries. Until the next
-    // call, only the rows of the band have entries. Without bands, the entries of large primitives could exceed the
-    // available memory.
+    // call, only the rows of the band have entries. Bands are needed because the entries of large primitives in the
+    // whole image could exceed the available memory.
     int fill_band(int top, std::size_t max_entries, Team& team);
 
     // Projects and sorts the primitives, without binning them. order() then returns the sorted items.
@@ -76,7 +76,7 @@ class DepthBins {
 
 // Assigns a slot (an index in an array of results) to each (primitive, tile) entry. When a tile is processed, the
 // tile's result for the primitive is written into the slot. The slots of a primitive are adjacent and are summed in a
-// fixed order. The sum therefore does not depend on which thread filled the slots.
+// fixed order, so the sum does not depend on which thread filled the slots.
 class Slots {
   public:
     // Assigns the slots of `count` primitives, and returns the number of slots.

@@ -1,7 +1,7 @@
 // Cameras, and the tiles and blocks of an image, which all compositors share.
 //
-// All functions are static. They are compiled once per instruction set (common/dispatch.h), and without `static` the
-// linker would keep only one of the compiled copies.
+// All functions are static, because they are compiled once per instruction set (common/dispatch.h), and the linker
+// would otherwise keep only one of the compiled copies.
 #pragma once
 
 #include <cstdint>

@@ -1,7 +1,7 @@
 // The type Lanes: 16 floats, one per pixel of a 4 x 4 block. The vector type of Lanes depends on the instruction set
 // that this file is compiled for. A dispatched file (common/dispatch.h) includes this file inside its namespace.
-// Additions have the same order for all instruction sets, so results have the same bits, except for the results of
-// multiply_add.
+// Additions have the same order for all instruction sets, so all results except those of multiply_add have the same
+// bits.
 //
 // multiply_add(a, b, c) returns a * b + c. Instruction sets with fused multiply-add do not round the product a * b; all
 // others round it. For positive normal numbers a = m * 2^e with m in [1, 2), exponent_of(a) returns e and
@@ -336,7 +336,7 @@ inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
 
 #endif
 
-// The sum of all lanes. The function adds lanes i and i + 8, then i and i + 4, then i and i + 2, then i and i + 1.
+// Returns the sum of all lanes: adds lanes i and i + 8, then i and i + 4, then i and i + 2, then i and i + 1.
 inline float sum(Lanes a) {
     float v[16];
     store(v, a);
@@ -346,7 +346,7 @@ inline float sum(Lanes a) {
     return v[0];
 }
 
-// Writes the sums of several Lanes, computed four at a time. Each sum has the same order of additions as in sum().
+// Writes the sums of several Lanes, computed four at a time, with the same order of additions as in sum().
 inline void store_sums(const Lanes* from, int count, float* to) {
     int k = 0;
 #if defined(FOURD_SUM_OF_QUARTERS)
@@ -361,7 +361,7 @@ inline void store_sums(const Lanes* from, int count, float* to) {
     for (; k < count; ++k) to[k] = sum(from[k]);
 }
 
-// The largest value of all lanes.
+// Returns the largest value of all lanes.
 inline float max_lane(Lanes a) {
     float v[16];
     store(v, a);
@@ -371,6 +371,6 @@ inline float max_lane(Lanes a) {
     return v[0];
 }
 
-// The overload of constant() for Lanes. With overloads for floats and Lanes, the same template works on both types. The
-// pointer argument only selects the overload.
+// The overload of constant() for Lanes, so that the same template works on floats and on Lanes. The pointer argument
+// only selects the overload.
 inline Lanes constant(float value, const Lanes*) { return broadcast(value); }

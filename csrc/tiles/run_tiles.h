@@ -8,8 +8,8 @@
 namespace fourd::tiles {
 
 // Calls work(tile, worker) for all tiles in [first, last), in any order. A task is a group of at most kTilesPerTask
-// consecutive tiles. Without groups, two threads would often write to neighbouring tiles at the same time. Pixel rows
-// of neighbouring tiles share cache lines, so every write would move a cache line between the cores.
+// consecutive tiles, because pixel rows of neighbouring tiles share cache lines: if different threads wrote to
+// neighbouring tiles at the same time, the cache lines would move between the cores at every write.
 template <typename Work>
 void run_tiles(Team& team, int first, int last, const Work& work) {
     constexpr int kTilesPerTask = 8, kTasksPerThread = 16;

@@ -24,8 +24,8 @@ struct Block {
     std::size_t row_count;
 };
 
-// The rows of the basis are sorted by the variance of their factors, largest first, so in many blocks, all factors of
-// the last rows are 0.
+// Reads the factors of a block. The rows of the basis are sorted by the variance of their factors, largest first, so in
+// many blocks, all factors of the last rows are 0, and these rows do not contribute.
 FOURD_INLINE void read_factors(const Harmonics& from, std::size_t first, std::size_t count, Block* block) {
     block->row_count = 0;
     for (std::size_t row = 0; row < from.rows; ++row) {
@@ -90,9 +90,9 @@ void harmonics(const Harmonics& from, std::uint16_t* out) {
     }
 }
 
-// Adds step * level to one channel of a colour, where the level is a signed byte. With a step of 1, sums wrap around
-// modulo 256, so that one byte can represent every difference of two channel values. With larger steps, sums are
-// clamped to [0, 255].
+// Adds step * level to one channel of a colour, where the level is a signed byte. If the step is 1, sums wrap around
+// modulo 256, so that one byte can represent every difference of two channel values. If it is larger, sums are clamped
+// to [0, 255].
 FOURD_INLINE std::uint8_t add_level(std::uint8_t mean, std::uint8_t level, int step) {
     const int sum = mean + step * static_cast<std::int8_t>(level);
     const int clamped = sum < 0 ? 0 : (sum > 255 ? 255 : sum);
@@ -123,7 +123,7 @@ void view_of_all(const Views& from, std::size_t number, std::size_t first, std::
 
 // Writes the weights and the colours of `count` points in one view. `next` is the index of the first colour to read.
 // Returns the index of the first colour that was not read. For points without a colour, the function also reads levels,
-// which are then masked to 0. A branch would be slower, because the processor cannot predict it.
+// which are then masked to 0, because a branch would be slower: the processor could not predict it.
 std::size_t view_of_some(const Views& from, std::size_t number, std::size_t first, std::size_t count, std::size_t next,
                          std::uint16_t* out_weights, std::uint8_t* out_rgb) {
     const View& of = from.views[number];

@@ -22,9 +22,9 @@ struct Harmonics {
     const float* mean;   // Shape (kShNumbers).
 };
 
-// One source view. Each point has a weight code, which is the index of its blend weight in Views::weights. `colours`
-// points also have colour levels, which are differences from the point's mean colour, in quantization steps. The levels
-// are three planes, each with `colours` bytes: green, red - green and blue - green.
+// One source view. Each point has a weight code, which is the index of its blend weight in Views::weights. The member
+// `colours` is the number of points that also have colour levels, which are differences from the point's mean colour,
+// in quantization steps. The levels are three planes, each with `colours` bytes: green, red - green and blue - green.
 struct View {
     const std::uint8_t* codes;
     const std::uint8_t* levels;

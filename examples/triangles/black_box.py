@@ -1,8 +1,8 @@
-"""Fit triangles to a picture through OpenGL, which computes no gradients.
+"""Fit triangles to an image through OpenGL, which computes no gradients.
 
 The renderer is a black box for fourd.raster.triangles.estimate_gradient: it draws triangles with OpenGL, each in one
-colour. The renderer returns the image, and for each pixel the index of the triangle that the pixel shows. Each step of
-the optimiser draws two images.
+colour, and returns the image and the index of the triangle that each pixel shows. Each step of the optimiser draws two
+images.
 """
 
 from __future__ import annotations
@@ -74,13 +74,13 @@ class TriangleRenderer:
         self._size = size
 
     def draw(self, params: Tensor) -> Tensor:
-        """Return the image (size, size, 3) of triangles with the parameters ``params`` (T, 9). Also store the index of
-        the triangle that each pixel shows, for :meth:`ids`."""
+        """Draw an image (size, size, 3) of triangles with the parameters ``params`` (T, 9). Also store the index of the
+        triangle that each pixel shows, for :meth:`ids`."""
         corners = params[:, :6].reshape(-1, 3, 2)
         colours = params[:, None, 6:].clamp(0, 1).expand(-1, 3, -1)
         self._buffer.write(torch.cat((corners, colours), 2).numpy().astype(np.float32).tobytes())
         self._target.use()
-        # clear() sets all ids to 0, which is the id of the first triangle. The ids are therefore overwritten with -1.
+        # clear() sets all ids to 0, which is the id of the first triangle, so the ids are overwritten with -1.
         self._target.clear()
         self._textures[1].write(np.full((self._size, self._size), -1, np.float32).tobytes())
         self._array.render(moderngl.TRIANGLES)
@@ -97,7 +97,7 @@ class TriangleRenderer:
 
 
 def target_picture(size: int) -> Tensor:
-    """A disc and a ring in front of a gradient, (size, size, 3)."""
+    """Return an image (size, size, 3) of a disc and a ring in front of a colour gradient."""
     y, x = torch.meshgrid(*(torch.linspace(-1, 1, size),) * 2, indexing="ij")
     picture = torch.stack((0.3 + 0.3 * x, 0.4 + 0.2 * y, 0.6 - 0.3 * x), 2)
     radius = (x**2 + y**2).sqrt()
@@ -107,7 +107,7 @@ def target_picture(size: int) -> Tensor:
 
 
 def random_triangles(count: int, generator: torch.Generator) -> Tensor:
-    """Small triangles at random places, (count, 9)."""
+    """Return the parameters (count, 9) of small triangles at random places."""
     centres = 2 * torch.rand(count, 1, 2, generator=generator) - 1
     corners = centres + 0.25 * torch.randn(count, 3, 2, generator=generator)
     return torch.cat((corners.reshape(count, 6), torch.rand(count, 3, generator=generator)), 1)

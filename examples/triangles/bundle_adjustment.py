@@ -6,15 +6,15 @@ The poses of all cameras, and the centres, radii and textures of the spheres are
 start with errors, and the textures start grey. Adam minimises the difference between the rendered and the given images
 at several scales. The first steps compare only coarse scales, because the difference of sharp images has many local
 minima. When the optimiser changes the rotation of a camera, the camera turns around the centre of the scene, not around
-its own centre. Rotation and translation can then be corrected independently.
+its own centre, so rotation and translation can be corrected independently.
 
 The images determine the poses only up to one common rotation, translation and scale. The program removes the common
 rotation before it computes the rotation errors, and the common similarity transformation before it computes the errors
 of the centres.
 
-The spheres have few triangles on purpose: antialiasing finds a silhouette only at pixels that show a triangle with a
-silhouette edge. On a finely tessellated sphere, the triangles at the silhouette are thinner than a pixel. Few pixels
-show such a triangle, so most of the gradient would be missing.
+The spheres have few triangles on purpose, because antialiasing finds a silhouette only at pixels that show a triangle
+with a silhouette edge. On a finely tessellated sphere, the triangles at the silhouette are thinner than a pixel, so few
+pixels show such a triangle and most of the gradient would be missing.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ class Renderer:
     def __init__(self, spheres: int, size: int) -> None:
         self.unit, uv, tri = uv_sphere(6, 12)
         self.tri = torch.cat([tri + number * len(self.unit) for number in range(spheres)])
-        # The textures are stacked in one image, one above the other.
+        # The textures are stacked vertically in one image.
         v = (torch.arange(spheres)[:, None] + 0.01 + 0.98 * uv[None, :, 1]) / spheres
         self.uv = torch.stack([uv[None, :, 0].expand_as(v), v], dim=-1).reshape(-1, 2)
         self.projection, self.size = perspective(0.36, near=0.5), size

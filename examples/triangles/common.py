@@ -1,4 +1,4 @@
-"""Meshes, matrices and image files that the examples of this folder share."""
+"""Helpers that the examples of this folder share: meshes, matrices, errors and image files."""
 
 from __future__ import annotations
 

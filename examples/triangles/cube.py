@@ -4,7 +4,7 @@
 
 Each step renders two cubes in the same random pose: the true cube, and the cube whose corners and colours are
 optimised. Antialiasing is the only source of gradients with respect to the positions of silhouettes. A small final
-error of the corners therefore shows that these gradients are right, even if the whole image has only 4 x 4 pixels.
+error of the corners therefore shows that these gradients are right, even for an image of only 4 x 4 pixels.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Arguments:
 
 
 def main(arguments: Arguments) -> float:
-    """Fit the cube. Returns the final mean distance of the corners from the true corners, as a share of the edge
+    """Fit the cube. Returns the final mean distance of the corners from the true corners, as a fraction of the edge
     length."""
     rng = np.random.default_rng(arguments.seed)
     true_xyz, tri = cube()

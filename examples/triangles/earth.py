@@ -2,9 +2,9 @@
 
     python examples/triangles/earth.py
 
-The target images are rendered from the true texture with 4 x 4 samples per pixel. A bilinear lookup reads at most four
-texels per pixel. Where the globe is far away or seen at a grazing angle, a pixel covers many more texels. A mipmap
-lookup averages them, so the learnt texture has less noise. The program prints the PSNR of both learnt textures.
+The target images are rendered from the true texture with 4 x 4 samples per pixel. Where the globe is far away or seen
+at a grazing angle, a pixel covers many texels, but a bilinear lookup reads at most four of them. A mipmap lookup
+averages all of them, so the learnt texture has less noise. The program prints the PSNR of both learnt textures.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def main(arguments: Arguments) -> tuple[float, float]:
 
 
 def learn(true_texture: Tensor, mode: Filter, arguments: Arguments) -> Tensor:
-    """Return the texture (H, W, 3) that reproduces images of the true texture."""
+    """Learn a texture (H, W, 3) that reproduces images of the true texture."""
     globe = Globe()
     rng = np.random.default_rng(arguments.seed + 1)
     texels = torch.full_like(true_texture, 0.5).requires_grad_()

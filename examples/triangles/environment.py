@@ -1,8 +1,8 @@
-"""Recover an environment map and a Phong highlight from images of a mirroring torus.
+"""Recover an environment map and a Phong highlight from images of a reflective torus.
 
     python examples/triangles/environment.py
 
-The colour of a pixel is the environment map in the direction of the mirrored ray, plus a Phong highlight of an unknown
+The colour of a pixel is the environment map in the direction of the reflected ray, plus a Phong highlight of unknown
 colour and exponent. The environment map is a cube map with seamless edges: near an edge, the gradient also reaches the
 texels of the neighbouring face.
 """
@@ -24,7 +24,7 @@ from torch.nn.functional import normalize
 from fourd.raster.triangles import interpolate, rasterize, texture
 
 LIGHT = normalize(torch.tensor([1.0, 1.0, 2.0]), dim=0)
-"""Direction towards the light, in the frame of the camera."""
+"""Direction towards the light, in camera coordinates."""
 
 
 @dataclass(frozen=True)

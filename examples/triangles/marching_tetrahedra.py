@@ -36,14 +36,14 @@ from fourd.mesh.views import MeshView
 from fourd.raster.triangles import Topology, antialias_construct_topology
 
 MAX_OFFSET_CELLS = 0.4
-"""Largest offset of a grid vertex along each axis, as a share of the side of a grid cube. With this limit, no
-tetrahedron is turned inside out."""
+"""Largest offset of a grid vertex along each axis, as a fraction of a grid cube's side. This limit prevents
+tetrahedra from turning inside out."""
 
 FIRST_RATE, LAST_RATE = 0.3, 0.01
 """Learning rate of the distances and the offsets at the start and at the end of the fit."""
 
 HELD_OUT = 5
-"""Every fifth camera of a capture is held out. The intersection over union is measured in the held-out cameras."""
+"""Every fifth camera of a capture is held out to measure the intersection over union."""
 
 
 @dataclass(frozen=True)
@@ -69,16 +69,16 @@ class Arguments:
     seed: int = 0
     """Seed of the order of the viewpoints."""
     picture: Path = Path("marching_tetrahedra.png")
-    """Output image: the first surface and the fitted surface, and with ``shape`` the true surface."""
+    """Output image: the first surface, the fitted surface and, if ``shape`` is fitted, the true surface."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera, and the object in its image.
+    """A camera with the silhouette and the depth of the object in its image.
 
     Attributes:
         camera: pinhole camera.
-        silhouette: (H, W) share of each pixel that the object covers.
+        silhouette: (H, W) fraction of each pixel that the object covers.
         depth: (H, W) camera depth of the object. Where the silhouette is empty, the depth lies behind the grid. Unknown
             depths are NaN.
     """
@@ -180,7 +180,7 @@ class Fit:
 
 
 def known_shape(arguments: Arguments) -> Problem:
-    """Return images of a shape whose true mesh is known."""
+    """Return the silhouettes and depth images of a shape whose true mesh is known."""
     true = torus() if arguments.shape == "torus" else aeroplane()
     lower, upper = true.xyz.min(dim=0).values.double().numpy(), true.xyz.max(dim=0).values.double().numpy()
     bounds = Bounds(lower, upper)
@@ -189,7 +189,7 @@ def known_shape(arguments: Arguments) -> Problem:
 
 
 def see(mesh: Mesh, camera: Camera, bounds: Bounds) -> View:
-    """Return the silhouette and the depth of a mesh, as seen by ``camera``. Pixels on the contour have no depth."""
+    """Render the silhouette and the depth of a mesh, as seen by ``camera``. Pixels on the contour have no depth."""
     silhouette, depth = draw(mesh, camera)
     depth = torch.where((silhouette > 0) & (silhouette < 1), torch.nan, depth)
     return View(camera, silhouette, torch.where(silhouette == 0, depth_behind(camera, bounds), depth))

@@ -59,7 +59,7 @@ class Arguments:
 
 
 def main(arguments: Arguments) -> float:
-    """Search for the poses. Returns the share of starts that end within 2 degrees of the true pose."""
+    """Search for the poses. Returns the fraction of starts that end within 2 degrees of the true pose."""
     rng = np.random.default_rng(arguments.seed)
     found = []
     for start in range(arguments.starts):

@@ -2,12 +2,11 @@
 
     python examples/triangles/soft_rectangle.py
 
-The rectangle and the target do not overlap at first. A hard rasterizer gives no gradient that moves the rectangle
-towards the target, because no pixel of the target is near the rectangle. In the soft rasterizer (SoftRas, Liu et al.
-2019), every triangle contributes to every pixel. The contribution decreases with the distance of the pixel from the
-triangle, and sigma determines how fast. Sigma shrinks during the fit, so that the final edges are sharp. The target is
-rendered with the same sigma. If the target were sharp, the rectangle would shrink to nothing: all its pixels are wrong,
-and no pixel of the target is near.
+The rectangle and the target do not overlap at first, so a hard rasterizer gives no gradient that moves the rectangle
+towards the target. In the soft rasterizer (SoftRas, Liu et al. 2019), every triangle contributes to every pixel. The
+contribution decreases with the distance of the pixel from the triangle, and sigma determines how fast. Sigma shrinks
+during the fit, so that the final edges are sharp. The target is rendered with the same sigma. If the target were sharp,
+the rectangle would shrink to nothing, because all its pixels are wrong and no pixel of the target is near.
 """
 
 from __future__ import annotations
@@ -65,7 +64,7 @@ def main(arguments: Arguments) -> float:
 
 
 def render(shape: Tensor, camera: Camera, sigma: float) -> Tensor:
-    """Return the soft silhouette (H, W) of the rectangle. ``shape`` (4,) is x, y, half width, half height."""
+    """Render the soft silhouette (H, W) of the rectangle. ``shape`` (4,) is x, y, half width, half height."""
     x, y, half_width, half_height = shape.unbind()
     corners = [(x + i * half_width, y + j * half_height) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     xyz = torch.stack([torch.stack([u, torch.zeros_like(u), v]) for u, v in corners])

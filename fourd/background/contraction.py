@@ -13,8 +13,8 @@ from torch import Tensor
 from fourd.cameras import Camera
 
 CONTRACTED_RADIUS = 2.0
-"""Radius of the ball in contracted space. Points at infinity map to the ball's surface. Inside radius 1, the
-contraction is the identity."""
+"""Radius of the ball in contracted space. Points at infinity map to its surface. Inside radius 1, the contraction is
+the identity."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,7 @@ class Contraction:
 
 
 def contraction_around(cameras: Sequence[Camera], focus: NDArray[np.float64]) -> Contraction:
-    """Create a contraction about the viewing centre ``focus`` (3,). The contraction's inner region contains all
-    cameras."""
+    """Create a contraction about the point ``focus`` (3,), with an inner region that contains all cameras."""
     distances = [float(np.linalg.norm(camera.centre - focus)) for camera in cameras]
     x, y, z = (float(value) for value in focus)
     return Contraction((x, y, z), max(*distances, 1e-6))

@@ -16,21 +16,20 @@ Array = NDArray[np.float64]
 
 CELL_DEG = 1.0
 ROWS_PER_DEGREE = 4
-"""Number of rows per degree of elevation in a fine grid. The resolution must be high, because the far half of a floor
-spans only a few degrees when the centre is low."""
+"""Number of rows per degree of elevation in a fine grid. Fine rows are needed because, as seen from a low centre, the
+far half of a floor spans only a few degrees."""
 FAR_QUANTILE = 0.8
-"""The distance assigned to a cell is this quantile of the distances of the points in the cell. Because the quantile is
-high, the distance is that of the farthest surface, and objects in front of it have no influence."""
+"""A cell's distance is this quantile of the distances of its points. A high quantile selects the farthest surface and
+ignores objects in front of it."""
 
 DISTANCE_WEIGHT = 100.0
-"""Weight of horizontal neighbours in the extrapolation of distances. Vertical neighbours have weight 1. A large weight
-keeps floors horizontal and walls vertical."""
+"""Weight of horizontal neighbours in the extrapolation of distances, relative to the weight 1 of vertical neighbours. A
+large weight keeps floors horizontal and walls vertical."""
 
 
 @dataclass(frozen=True, eq=False)
 class DirectionGrid:
-    """A grid of directions around a point. The elevation changes from row to row, and the azimuth from column to
-    column.
+    """A grid of directions around a point. Each row has one elevation, and each column one azimuth.
 
     Attributes:
         centre: (3,) world point at which the directions start.
@@ -45,8 +44,8 @@ class DirectionGrid:
     columns: int
 
     def cells(self, xyz: Array) -> tuple[NDArray[np.intp], Array]:
-        """Flat indices (N,) of the cells that contain world points (N, 3), and distances (N,) of the points from the
-        centre."""
+        """Compute the flat indices (N,) of the cells that contain world points (N, 3), and the points' distances (N,)
+        from the centre."""
         local = (xyz - self.centre) @ self.R_world_sphere
         distance = np.maximum(np.linalg.norm(local, axis=1), 1e-12)
         elevation = np.arcsin(np.clip(local[:, 2] / distance, -1, 1))
@@ -56,19 +55,19 @@ class DirectionGrid:
         return row * self.columns + column, distance
 
     def directions(self) -> Array:
-        """(rows * columns, 3) unit vectors in world coordinates at the cells' centres. Cells in odd rows are offset by
-        half a cell."""
+        """Return unit vectors (rows * columns, 3) in world coordinates, one per cell. They point to the cells' centres,
+        but are shifted by half a cell in odd rows."""
         return self.directions_at(*self.places(np.arange(self.rows * self.columns)))
 
     def places(self, cells: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Rows (N,) and columns (N,) of the cells with the flat indices ``cells`` (N,). Columns of odd rows are offset
-        by half a cell."""
+        """Return rows (N,) and columns (N,) of the cells with the flat indices ``cells`` (N,). In odd rows, the columns
+        are shifted by half a cell."""
         row, column = (index.astype(np.float64) for index in np.divmod(cells, self.columns))
         return row, column + np.where(row % 2 == 1, 0.5 * (1 - 1e-9), 0.0)
 
     def directions_at(self, row: Array, column: Array) -> Array:
-        """(N, 3) unit vectors in world coordinates at fractional rows (N,) and columns (N,). Integers are the centres
-        of cells."""
+        """Compute unit vectors (N, 3) in world coordinates at fractional rows (N,) and columns (N,). Integer values are
+        the centres of cells."""
         e = ((row + 0.5) / self.rows - 0.5) * np.pi
         a = ((column + 0.5) / self.columns - 0.5) * 2 * np.pi
         local = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1)
@@ -76,8 +75,8 @@ class DirectionGrid:
 
 
 def direction_grid(cameras: Sequence[Camera], centre: Array, rows_per_degree: int = 1) -> DirectionGrid:
-    """Create a grid around a world point (3,). The grid has one column per degree, and its up direction is the mean up
-    direction of the cameras. A fine grid has ``rows_per_degree = ROWS_PER_DEGREE``."""
+    """Create a grid around a world point (3,) with one column per degree. Its up direction is the cameras' mean up
+    direction. For a fine grid, pass ``rows_per_degree = ROWS_PER_DEGREE``."""
     up = -np.sum([camera.rotation[1] for camera in cameras], axis=0)
     up = up / max(float(np.linalg.norm(up)), 1e-12) if np.linalg.norm(up) > 1e-6 else np.array([0.0, 0.0, 1.0])
     side = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
@@ -94,10 +93,10 @@ def summarize_cells(
     distances ``distance`` (N,) and colours ``rgb`` (N, 3).
 
     Returns:
-        known: (count,) bool, whether the cell has points.
-        inverse: (count,) inverse of the cell's distance; 0 in cells without points. The distance of a cell is the
-            quantile FAR_QUANTILE of the distances of the points in the cell.
-        rgb: (count, 3) mean colour of the points at or beyond the cell's distance.
+        known: (count,) bool, true for cells with points.
+        inverse: (count,) inverse of the cell's distance, or 0 in cells without points. A cell's distance is the
+            quantile FAR_QUANTILE of the distances of its points.
+        rgb: (count, 3) mean colour of the cell's points at or beyond the cell's distance.
     """
     order = np.lexsort((distance, cells))
     sorted_cells = cells[order]
@@ -146,8 +145,8 @@ def interpolate_harmonic(
 
 
 def extrapolate_distances(grid: DirectionGrid, known: NDArray[np.bool_], inverse_distance: Array) -> Array:
-    """Extrapolate inverse distances (cells,) from the known cells (cells,) to all other cells, mainly in the horizontal
-    direction."""
+    """Extrapolate inverse distances (cells,) from the known cells to all others, mainly in the horizontal direction.
+    The mask ``known`` (cells,) is true for known cells."""
     if known.all():
         return inverse_distance
     return interpolate_harmonic(grid, known, inverse_distance[:, None], DISTANCE_WEIGHT)[:, 0]

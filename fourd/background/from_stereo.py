@@ -1,7 +1,7 @@
-"""Computation of background points from clean plates by stereo.
+"""Compute background points from clean plates by stereo.
 
-Triangulated sparse features initialise the depth maps of the plates. Depths that disagree between plates are removed.
-Points are then sampled on the surfaces that the remaining depths describe.
+The plates' depth maps are initialised from triangulated sparse features and refined. Depths that disagree between
+plates are removed. Points are then sampled on the surfaces that the remaining depths describe.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fourd.formats.ply import ColouredPoints
 from fourd.progress import Log, Track, untracked
 
 MIN_SHARE = 0.1
-"""Minimum share of cells with a measured depth, among the visible cells of all depth maps."""
+"""Minimum fraction of the depth maps' visible cells that have a measured depth."""
 
 
 def seed_from_stereo(
@@ -41,7 +41,7 @@ def seed_from_stereo(
         plates: clean plates of at least two cameras.
         points: requested number of points, at least 1. If the plates have few visible pixels, the result has fewer
             points than requested.
-        fill: whether to extrapolate depth into areas in which stereo finds no match.
+        fill: whether to extrapolate depth into areas where stereo finds no match.
         seed: seed of the random numbers.
         workers: number of worker processes.
         log: reports the number of features and the number of points.

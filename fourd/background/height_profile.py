@@ -1,5 +1,5 @@
-"""Colours that depend only on the height above the floor, such as rows of bricks, boards or shelves of a wall. Such
-colours can be extrapolated into directions that no camera sees."""
+"""Estimate colours that depend only on the height above the floor, such as those of a wall's rows of bricks, boards or
+shelves. Such colours can be extrapolated into directions that no camera sees."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 BIN_DEG = 0.5
-"""Height of a bin of the profile, as the angle that the bin spans at the median distance of the unknown cells."""
+"""Height of a profile bin, given as the angle that it spans at the median distance of the unknown cells."""
 SMOOTHING_DEG = (4.0, 10.0)
-"""Standard deviations, in elevation and azimuth, of the filter that separates the profile from slow changes of
-colour."""
+"""Standard deviations, in elevation and azimuth, of the Gaussian filter that separates the profile from slow colour
+changes."""
 SECTORS = 24
 """Number of azimuth sectors in which the profile is measured independently."""
 MIN_SECTORS = 3
-"""Minimum number of sectors with known cells. With fewer sectors, the profile of a height is 0."""
+"""Minimum number of sectors with known cells at a height. If there are fewer, the profile at this height is 0."""
 
 
 def height_profile(grid: DirectionGrid, known: Bools, inverse_distance: Array, rgb: Array) -> Array:
     """Estimate the part of the colours that depends only on the height.
 
-    The colours of known cells are compared with a smoothed version of themselves. The profile at a height is the mean
-    of these differences over all azimuth sectors. The mean is multiplied by the positive-part James-Stein factor: if
-    the sectors agree, the factor is near 1, and if the mean is not larger than its standard error, the factor is 0.
-    Surfaces without horizontal structure therefore have a profile near 0.
+    The smoothed colours of known cells are subtracted from their colours. The profile at a height is the mean of these
+    differences over all azimuth sectors, multiplied by the positive-part James-Stein factor. The factor is near 1 if
+    the sectors agree, and 0 if the mean is not larger than its standard error, so that the profile of surfaces without
+    horizontal structure is near 0.
 
     Args:
         grid: the grid of directions.
@@ -38,7 +38,7 @@ def height_profile(grid: DirectionGrid, known: Bools, inverse_distance: Array, r
         rgb: (cells, 3) colours in [0, 255]. The colours of unknown cells are ignored.
 
     Returns:
-        (cells, 3) colour differences for all cells, which are added to slowly changing colours.
+        (cells, 3) colour differences for all cells, to be added to slowly changing colours.
     """
     if known.all() or not known.any():
         return np.zeros_like(rgb)
@@ -56,7 +56,7 @@ def height_profile(grid: DirectionGrid, known: Bools, inverse_distance: Array, r
 
 
 def _smooth(grid: DirectionGrid, known: Bools, rgb: Array) -> Array:
-    """Colours (cells, 3) after smoothing over the known cells."""
+    """Smooth the colours (cells, 3) over the known cells."""
     shape = (grid.rows, grid.columns)
     sigma = (SMOOTHING_DEG[0] * grid.rows / 180, SMOOTHING_DEG[1] * grid.columns / 360)
 
@@ -68,8 +68,8 @@ def _smooth(grid: DirectionGrid, known: Bools, rgb: Array) -> Array:
 
 
 def _shrink(means: Array, measured: Bools) -> Array:
-    """Mean (heights, 3) of the sectors' means (heights, sectors, 3) over the measured sectors (heights, sectors),
-    multiplied by the positive-part James-Stein factor."""
+    """Average the sectors' means (heights, sectors, 3) over the measured sectors (heights, sectors), and multiply the
+    result (heights, 3) by the positive-part James-Stein factor."""
     count = measured.sum(axis=1)
     weight = (measured / np.maximum(count, 1)[:, None])[..., None]
     mean = (weight * means).sum(axis=1)

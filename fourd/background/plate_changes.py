@@ -1,5 +1,4 @@
-"""Detection of backgrounds that are not static. Frames are compared with clean plates in the area outside the
-mattes."""
+"""Detect backgrounds that are not static, by comparing frames with clean plates outside the mattes."""
 
 from __future__ import annotations
 
@@ -13,23 +12,22 @@ from fourd.capture import Capture
 from fourd.capture.layout import sample_indices
 
 FRAMES = 6
-"""Number of compared frames per camera. The compared frames are evenly spaced over the capture."""
+"""Number of frames that are compared per camera, evenly spaced over the capture."""
 MAX_DIFFERENCE = 24.0
 """Maximum colour difference, in 8-bit levels, between an unchanged pixel and the plate. The difference is computed
 after blurring and exposure compensation."""
 BLUR_PX = 2.0
 MARGIN = 1 / 50
-"""Width of a band around the matte, as a share of the image's longer side. Pixels in the band are not compared, because
-the band contains soft edges and shadows."""
+"""Width of a band around the matte in which pixels are not compared, because it contains soft edges and shadows. The
+width is a fraction of the image's longer side."""
 MAX_CHANGED_SHARE = 0.02
-"""Maximum share of the visible background that may differ from the plate because of noise."""
+"""Maximum fraction of the visible background that may differ from the plate because of noise."""
 
 
 def find_changing_backgrounds(
     capture: Capture, cameras: Sequence[int], plates: Sequence[PlateView]
 ) -> dict[str, float]:
-    """Find the cameras whose background differs from the plate. A camera is returned if there is a frame in which more
-    than 2% of the background's area differs.
+    """Find the cameras whose background differs from the plate in more than 2% of its area in at least one frame.
 
     Args:
         capture: a capture with mattes.
@@ -37,7 +35,7 @@ def find_changing_backgrounds(
         plates: clean plates.
 
     Returns:
-        camera name -> changed share of the background, in [0, 1], in the frame with the largest change.
+        camera name -> changed fraction of the background, in [0, 1], in the frame with the largest change.
     """
     shares = {
         plate.name: max(
@@ -49,7 +47,7 @@ def find_changing_backgrounds(
 
 
 def _changed_share(capture: Capture, camera: int, frame: int, plate: PlateView) -> float:
-    """Share, in [0, 1], of the visible background that differs from the plate in a frame."""
+    """Compute the fraction, in [0, 1], of the visible background that differs from the plate in a frame."""
     reach = max(1, round(MARGIN * max(plate.seen.shape)))
     square = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     compared = (cv2.dilate(capture.mask(camera, frame), square) == 0) & plate.seen

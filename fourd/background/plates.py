@@ -1,5 +1,5 @@
-"""Clean plates from which the background's points are computed. The user provides the plates, or ``fourd matte`` makes
-them."""
+"""Clean plates (images of the empty scene), from which the background's points are computed. The user provides them, or
+``fourd matte`` makes them."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from fourd.progress import Log
 Picture = NDArray[np.uint8]
 
 USER_FOLDER = "bgs"
-"""Folder for the plates that the user provides, inside a capture's folder. The files are CAM.png or CAM.jpg. The plates
-have the same lens distortion as the frames."""
+"""Subfolder of a capture's folder for the plates that the user provides, as CAM.png or CAM.jpg. They have the same lens
+distortion as the frames."""
 MIN_SEEN_SHARE = 0.5
 MIN_CAMERAS = 2
 
@@ -48,7 +48,8 @@ class PlateView:
 
 
 def has_plate(path: Path, name: str) -> bool:
-    """Whether a capture's folder contains a clean plate of a camera. The plate may come from the user or from fourd."""
+    """Return true if a capture's folder contains a clean plate of a camera, which may come from the user or from
+    fourd."""
     return name in find_pictures(path / USER_FOLDER) or (path / FOLDER / f"{name}.png").exists()
 
 
@@ -58,15 +59,15 @@ def read_plates(
     """Read the plates of some cameras of a capture. The plates are undistorted and resized to match
     ``capture.cameras``.
 
-    If the user provides a plate, ``bgs/CAM.png`` or ``bgs/CAM.jpg``, this plate is used. The user's plate must have the
-    full size and the lens distortion of the frames. Pixels of the user's plate that are not opaque are holes. If the
-    user provides no plate, the plate ``.fourd/plates/CAM.png`` from :mod:`fourd.matting.plates` is read.
+    For each camera, the user's plate ``bgs/CAM.png`` or ``bgs/CAM.jpg`` is used if it exists. It must have the full
+    size and the lens distortion of the frames, and its pixels that are not opaque are holes. Otherwise, the plate
+    ``.fourd/plates/CAM.png`` from :mod:`fourd.matting.plates` is read.
 
     Args:
         capture: the capture.
         cameras: indices of at least two cameras.
         log: reports plates that are mostly holes.
-        made: folder with plates that fourd made; if None, the capture's folder ``.fourd/plates`` is used.
+        made: folder with plates that fourd made; if None, ``.fourd/plates`` in the capture's folder is used.
 
     Returns:
         one view per camera, in the order of ``cameras``.
@@ -99,14 +100,14 @@ def read_plates(
 
 @dataclass(frozen=True)
 class _File:
-    """Path of a plate, and whether fourd made this plate. Plates that fourd made are undistorted."""
+    """Path of a plate, and whether fourd made it. Plates that fourd made are undistorted."""
 
     path: Path
     made: bool
 
 
 def _files(capture: Capture, names: Sequence[str], folder: Path) -> dict[str, _File]:
-    """The plate file of each camera, by camera name."""
+    """Find the plate file of each camera, by camera name."""
     provided = find_pictures(capture.path / USER_FOLDER)
     files = {}
     for name in names:
@@ -127,8 +128,7 @@ def _files(capture: Capture, names: Sequence[str], folder: Path) -> dict[str, _F
 
 
 def _lenses(capture: Capture, names: list[str]) -> dict[str, Camera]:
-    """The cameras ``names`` as a dictionary from name to camera. The cameras include the lens distortion and have the
-    full size of the frames."""
+    """Return the cameras ``names`` by name, with their lens distortion and the full size of the frames."""
     calibrations = read_calibration(capture.path)
     with open_capture(capture.path, views=names, frames="0:1", mattes=False) as whole:
         return {
@@ -139,8 +139,7 @@ def _lenses(capture: Capture, names: list[str]) -> dict[str, Camera]:
 
 @dataclass(frozen=True, eq=False)
 class _Still:
-    """An image in memory with the interface of a video, so that the frame reader can read it as a video with one
-    frame."""
+    """An image in memory that the frame reader can read as a video with one frame."""
 
     path: Path
     picture: Picture
@@ -167,8 +166,8 @@ def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera]
             f"got {width} x {height}; {fix}"
         )
     if file.made:
-        # In background plates that fourd made, pixels outside the lens's field of view are black and opaque. To find
-        # these pixels, a fully opaque matte is undistorted: the pixels outside the field of view become transparent.
+        # In plates that fourd made, pixels outside the lens's field of view are black and opaque. They are found by
+        # undistorting a fully opaque matte, which becomes transparent there.
         seen = np.minimum(opaque, _undistort(capture, name, lens, file.path, rgb, np.full_like(opaque, 255))[1])
     else:
         rgb, seen = _undistort(capture, name, lens, file.path, rgb, opaque)

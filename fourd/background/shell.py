@@ -1,5 +1,5 @@
-"""The background's shell: points in the directions that no plate shows. Without these points, rendered views would have
-empty areas."""
+"""The background's shell: points in the directions that no clean plate shows, which would otherwise be empty in
+rendered views."""
 
 from __future__ import annotations
 
@@ -27,35 +27,34 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 COLOUR_WEIGHT = 16.0
-"""Weight of horizontal neighbours in the extrapolation of colours. Vertical neighbours have weight 1. Floors, walls and
-skies vary less in the horizontal direction than in the vertical direction."""
+"""Weight of horizontal neighbours in the extrapolation of colours, relative to the weight 1 of vertical neighbours. It
+is large because floors, walls and skies vary less horizontally than vertically."""
 SMALL_GAP_DEG = 1.5
-"""Gaps of up to this many degrees are closed. Gaps of this size are common between neighbouring points of a surface."""
+"""Gaps of up to this many degrees are closed, because they are common between neighbouring points of a surface."""
 RIM_FACTOR = 0.985
-"""Factor that multiplies the inverse distances of the shell's rim. The rim consists of known cells beside unknown
-cells. The factor places the rim slightly behind the known points."""
+"""Factor that multiplies the inverse distances of the shell's rim, which consists of shell points in known cells beside
+unknown cells. It places the rim slightly behind the known points."""
 NEAR_GAP_DEG = 15.0
-"""Every unknown cell whose angle to the nearest known cell is at most this many degrees gets a point. At larger angles,
-only one in sixteen unknown cells gets a point."""
+"""Unknown cells at most this many degrees from the nearest known cell have the full density of shell points. Of the
+cells farther away, only one in sixteen gets a point."""
 MIN_DETAIL = 8.0
 """A shell point near known cells is split into four points if the extrapolated colours of the upper and the lower half
-of its cell, or of an adjacent cell, differ by at least this many grey levels. Without the adjacent cells, large discs
-would cover small discs."""
+of its cell, or of an adjacent cell, differ by at least this many grey levels. Adjacent cells are included because large
+discs in these cells would otherwise cover the small discs of the split point."""
 OCCLUSION_RATIO = 0.9
-"""A shell point occludes a known point if the shell point's depth, divided by the known point's depth, is below this
-ratio."""
+"""Ratio of a shell point's depth to a known point's depth, below which the shell point occludes the known point."""
 DEPTH_CELL_PX = 6.0
 
 
 def build_shell(
     points: ColouredPoints, cameras: Sequence[Camera], centre: Array, track: Track = untracked
 ) -> ColouredPoints:
-    """Build points in the directions in which there are no background points.
+    """Build the points of the shell, in directions without background points.
 
-    Inverse distances and colours are interpolated harmonically between the known directions. Horizontal neighbours have
-    a larger weight than vertical neighbours. The up direction is the mean up direction of the cameras. Colours that
-    depend only on the height, such as stripes of a wall, are extrapolated separately (:mod:`height_profile`). Points
-    that would occlude known points in a camera are dropped.
+    Inverse distances and colours are interpolated harmonically between the known directions, with larger weights for
+    horizontal than for vertical neighbours. The up direction is the cameras' mean up direction. Colours that depend
+    only on the height, such as stripes of a wall, are extrapolated separately (:mod:`height_profile`). Points that
+    would occlude known points in a camera are dropped.
 
     Args:
         points: background points that were computed from the plates.
@@ -71,12 +70,11 @@ def build_shell(
     surface = track(_extrapolate(fine, points), 2, "background: unseen directions")
     directions, inverse, rgb, is_rim = _sample(grid, known, *surface)
     # The rim of the shell (shell points in known cells beside unknown cells) is placed slightly behind the known
-    # points. Without this overlap, some viewpoints would show a slit between the shell and the known points.
+    # points, so that no viewpoint shows a slit between the shell and the known points.
     inverse = np.where(is_rim, RIM_FACTOR, 1) * inverse
     xyz = centre + directions / inverse[:, None]
-    # A shell point is dropped if its distance from the centre is smaller than the median of the cameras' distances.
-    # Some cameras see the space near the centre. Gaps in this space are therefore caused by sparse points and need no
-    # shell.
+    # A shell point is dropped if it is closer to the centre than the median camera. The space closer than that is
+    # visible to some cameras, so a gap there means that the points are sparse, not that a direction is unseen.
     reach = float(np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]))
     kept = (inverse * reach < 1) & ~_occludes(xyz, points.xyz.astype(np.float64), cameras)
     colours = np.clip(np.rint(rgb[kept]), 0, 255).astype(np.uint8)
@@ -84,7 +82,7 @@ def build_shell(
 
 
 def _known_cells(grid: DirectionGrid, points: ColouredPoints) -> Bools:
-    """(cells,) bool, true for cells that contain points."""
+    """Return a (cells,) bool mask of the cells that contain points."""
     known = np.zeros(grid.rows * grid.columns, bool)
     known[grid.cells(points.xyz.astype(np.float64))[0]] = True
     return known
@@ -106,8 +104,8 @@ def _sample(grid: DirectionGrid, known: Bools, inverse: Array, rgb: Array) -> tu
     Args:
         grid: the coarse grid, with one point per selected cell.
         known: (cells,) bool, true for cells of the coarse grid with known points.
-        inverse: inverse distances in the cells of a grid with ROWS_PER_DEGREE rows per degree.
-        rgb: colours in the cells of the same grid.
+        inverse: inverse distances in the cells of the fine grid, which has ROWS_PER_DEGREE rows per degree.
+        rgb: colours in the cells of the fine grid.
 
     Returns:
         the points' directions (N, 3), inverse distances (N,), colours (N, 3), and whether the points are in known cells
@@ -131,7 +129,7 @@ def _sample(grid: DirectionGrid, known: Bools, inverse: Array, rgb: Array) -> tu
 
 
 def direction_coverage(points: ColouredPoints, centre: Array, cameras: Sequence[Camera]) -> float:
-    """Share, in [0, 1], of directions with points among all directions around ``centre``. Small gaps are treated as
+    """Compute the fraction, in [0, 1], of all directions around ``centre`` that contain points. Small gaps count as
     covered."""
     sphere = direction_grid(cameras, centre)
     closed, _ = _close_gaps(sphere, _known_cells(sphere, points))
@@ -141,8 +139,8 @@ def direction_coverage(points: ColouredPoints, centre: Array, cameras: Sequence[
 
 
 def viewing_centre(cameras: Sequence[Camera]) -> Array:
-    """World point (3,) with the smallest sum of squared distances to the cameras' optical axes. If the axes are
-    parallel, the mean camera centre is returned."""
+    """Compute the world point (3,) with the smallest sum of squared distances to the cameras' optical axes, or the mean
+    camera centre if the axes are parallel."""
     centres = np.stack([camera.centre for camera in cameras])
     projectors = np.stack([np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras])
     normal = projectors.sum(axis=0)
@@ -154,8 +152,7 @@ def viewing_centre(cameras: Sequence[Camera]) -> Array:
 def _select_cells(sphere: DirectionGrid, known: Bools) -> tuple[NDArray[np.intp], NDArray[np.intp], Bools]:
     """Select the cells that get a shell point: unknown cells and a rim of known cells.
 
-    Near known cells, the density of the selected cells is uniform over the sphere. Far from known cells, the density
-    is lower than near known cells.
+    Near known cells, the density of the selected cells is uniform over the sphere. Far from known cells, it is lower.
 
     Returns:
         flat indices (N,) of the selected cells, the distance (N,) in columns between selected cells of the same row,
@@ -170,7 +167,7 @@ def _select_cells(sphere: DirectionGrid, known: Bools) -> tuple[NDArray[np.intp]
     step = np.maximum(1, np.rint(1 / np.maximum(np.cos(elevation), 1e-3))).astype(np.intp)
     step = np.where(degrees > NEAR_GAP_DEG, 4 * step, step)
     level = np.where(degrees > NEAR_GAP_DEG, row % 4 == 0, True)
-    # Far from known cells, every second row with points is offset by half the distance between its points. The
+    # Far from known cells, every second row with points is offset by half the distance between its points, because the
     # resulting hexagonal layout covers the sphere most evenly.
     offset = np.where(degrees > NEAR_GAP_DEG, row // 4 % 2 * (step // 2), 0)
     cells = np.flatnonzero(((~grid | rim) & ((column + offset) % step == 0) & level).ravel())
@@ -178,8 +175,8 @@ def _select_cells(sphere: DirectionGrid, known: Bools) -> tuple[NDArray[np.intp]
 
 
 def _close_gaps(sphere: DirectionGrid, known: Bools) -> tuple[Bools, Array]:
-    """Close small gaps between known cells. Returns a mask (rows, columns) of the known cells after closing, and the
-    angle in degrees between each cell and the nearest cell that was known before closing."""
+    """Close small gaps between known cells. Returns a mask (rows, columns) of the known cells after closing, and each
+    cell's angle in degrees to the nearest cell that was known before."""
     known = _dilate_rows(sphere, known)
     # Three copies of the grid side by side make the distance transform periodic in azimuth.
     tiled = np.pad(np.tile(known, (1, 3)), ((sphere.rows, sphere.rows), (0, 0)))
@@ -190,7 +187,7 @@ def _close_gaps(sphere: DirectionGrid, known: Bools) -> tuple[Bools, Array]:
 
 
 def _dilate_rows(sphere: DirectionGrid, known: Bools) -> Bools:
-    """Known cells (rows, columns), dilated along the rows by one degree on the sphere. One degree spans more cells near
+    """Dilate the known cells (rows, columns) along the rows by one degree on the sphere, which spans more cells near
     the poles than at the equator."""
     wide = known.reshape(sphere.rows, sphere.columns).copy()
     for row in range(sphere.rows):
@@ -202,8 +199,8 @@ def _dilate_rows(sphere: DirectionGrid, known: Bools) -> Bools:
 
 
 def _occludes(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> Bools:
-    """Mask (N,) of the points ``xyz`` that occlude at least one of the known points ``seen`` (M, 3) in at least one
-    camera."""
+    """Return a mask (N,) of the points ``xyz`` that occlude at least one of the known points ``seen`` (M, 3) in at
+    least one camera."""
     hides = np.zeros(len(xyz), np.bool_)
     for camera in cameras:
         columns = int(camera.width / DEPTH_CELL_PX) + 1
@@ -218,7 +215,8 @@ def _occludes(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> Bools:
 
 
 def _depth_cells(xyz: Array, camera: Camera, columns: int) -> tuple[NDArray[np.intp], Array]:
-    """For each point, the index (N,) of its cell in a coarse depth map, or -1 outside the image, and the depth (N,)."""
+    """Compute the index (N,) of each point's cell in a coarse depth map, or -1 outside the image, and its depth
+    (N,)."""
     pixels, depth = camera.project(xyz)
     inside = (depth > 1e-6) & (pixels >= 0).all(axis=1) & (pixels < (camera.width, camera.height)).all(axis=1)
     place = np.where(inside[:, None], pixels / DEPTH_CELL_PX, 0).astype(np.intp)

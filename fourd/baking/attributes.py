@@ -1,9 +1,9 @@
-"""The table of the arrays that a baked frame consists of. The manifest, the scene reader, the scene writer, the
-combination of frames and the upload to OpenGL use this table.
+"""The table of the arrays that a baked frame consists of. It is used by the manifest, the scene reader and writer, the
+combination of frames and the upload to OpenGL.
 
-To add an attribute, add a row to :data:`ATTRIBUTES` with ``is_optional=True``. Add a field of the same name to
+To add an attribute, add a row to :data:`ATTRIBUTES` with ``is_optional=True`` and a field of the same name to
 :class:`fourd.baking.scene.BakedFrame`, and compute the attribute in :mod:`fourd.baking.bake`. Scenes without the new
-attribute stay readable. Older programs skip attributes that they do not know.
+attribute stay readable, and older programs skip it.
 """
 
 from __future__ import annotations
@@ -20,9 +20,8 @@ Values = Literal["any", "finite", "nonnegative", "unit"]
 """Valid values of an attribute. "unit" means [0, 1]. Only "any" permits NaN and infinity."""
 
 Combine = Literal["concatenate", "cast_shadow"]
-"""How the background's array is appended to the array of the dynamic points: "concatenate" appends the background's
-array unchanged, "cast_shadow" multiplies the background's array by the frame's shadow factors and appends the
-product."""
+"""How the background's array is appended to the array of the dynamic points. "concatenate" appends it unchanged;
+"cast_shadow" first multiplies it by the frame's shadow factors."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +29,7 @@ class Attribute:
     """One array of a frame, as stored in the file.
 
     Attributes:
-        name: name of the corresponding field of BakedFrame. The array's file inside the ZIP and the array's key in the
-            manifest have the same name.
+        name: name of the array's field in BakedFrame, of its file inside the ZIP and of its key in the manifest.
         dtype: little-endian NumPy dtype.
         shape: size of each dimension of the array. "points" stands for the number of points and "views" for the number
             of source views.
@@ -62,12 +60,12 @@ class Attribute:
         return count
 
     def resolve_shape(self, points: int, views: int) -> tuple[int, ...]:
-        """The array's shape for the given numbers of points and source views."""
+        """Return the array's shape for the given numbers of points and source views."""
         counts = {"points": points, "views": views}
         return tuple(counts[side] if isinstance(side, str) else side for side in self.shape)
 
     def nbytes(self, points: int, views: int) -> int:
-        """Size of the array in bytes."""
+        """Return the size of the array in bytes."""
         count = 1
         for side in self.resolve_shape(points, views):
             count *= side
@@ -82,7 +80,7 @@ class Attribute:
             )
 
     def has_valid_values(self, array: NDArray[Any]) -> bool:
-        """Whether every element satisfies the constraint ``self.values``."""
+        """Return True if every element satisfies the constraint ``self.values``."""
         if self.values == "any" or array.size == 0:
             return True
         if array.dtype == np.float16:
@@ -107,7 +105,7 @@ ATTRIBUTES = (
 
 
 def _valid_halves(bits: NDArray[np.uint16], values: Values) -> bool:
-    """Whether all values of a float16 array are valid. ``bits`` (uint16) are the bit patterns of the values.
+    """Return True if all values of a float16 array are valid. ``bits`` contains their bit patterns.
 
     Comparing bit patterns is several times faster than comparing floats.
     """
@@ -116,7 +114,6 @@ def _valid_halves(bits: NDArray[np.uint16], values: Values) -> bool:
         bits = bits & np.uint16(0x7FFF)
     if int(bits.max()) <= limit:
         return True
-    # The bit patterns of infinity and NaN are 0x7C00 or more, and the bit patterns of negative values are 0x8000 or
-    # more. Infinity, NaN and negative values therefore exceed ``limit``. The value -0 has the bit pattern 0x8000 and is
-    # valid.
+    # Infinity and NaN exceed ``limit``, because their bit patterns are 0x7C00 or more, and so do negative values, whose
+    # bit patterns are 0x8000 or more. The value -0, with the bit pattern 0x8000, is valid.
     return int(np.where(bits == 0x8000, np.uint16(0), bits).max()) <= limit

@@ -42,12 +42,12 @@ from fourd.training.run import Run, TrainedRun
 from fourd.training.segments.segmented_run import SegmentedRun, SegmentFrame
 
 GetSourceView = Callable[[int, EvaluatedPoints], SourceViews]
-"""Function that returns a camera's source view for the given points. The returned view has a depth map if occlusion is
-tested."""
+"""Function that returns a camera's source view (image and camera) for the given points. If occlusion is tested, the
+view has a depth map."""
 
 MAX_BAKED_WEIGHT = 1024.0
-"""The blend weights of each point are scaled such that the largest weight has this value. Without scaling, small
-weights would underflow in fp16."""
+"""The blend weights of each point are scaled such that the largest one has this value, because small weights would
+otherwise underflow in fp16."""
 
 
 def bake_run(
@@ -63,7 +63,7 @@ def bake_run(
     two segments (ranges of frames with separate models), the scene fades from the first segment to the second.
 
     Args:
-        layers: maximum number of points that are composited per pixel. The scene stores ``layers``.
+        layers: maximum number of points that are composited per pixel, which is stored in the scene.
         fps: playback rate, frames per second. If None, the rate at which the run's frames were recorded is used, or 30
             if this rate is not known.
 
@@ -88,7 +88,7 @@ def bake_run(
 
 
 def require_bakeable(run: Run) -> None:
-    """Check that the model's blend weights do not depend on the viewer. Raises UserError."""
+    """Raise UserError if the model's blend weights depend on the viewer."""
     if run.config.train.model.continuous:
         raise UserError(
             f"{run.folder}: expected blend weights that do not depend on the viewer, got model.continuous: true; "
@@ -135,7 +135,7 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float | 
 
 
 def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFrame:
-    """Evaluate those properties of one frame's dynamic points that do not depend on the viewing camera.
+    """Evaluate the properties of one frame's dynamic points that do not depend on the viewing camera.
 
     ``sources`` are the camera indices from :func:`select_baked_views`.
     """
@@ -180,8 +180,8 @@ def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | Non
 
 
 def bake_shadow(trained: TrainedRun, frame: int) -> NDArray[np.uint8] | None:
-    """Evaluate a frame's shadow factors: for each of the M background points, the factor of its colours, (M,) uint8 in
-    units of 1/128. Returns None if the run has no shadow model."""
+    """Evaluate a frame's shadow factors, which multiply the colours of the M background points. Returns (M,) uint8 in
+    units of 1/128, or None if the run has no shadow model."""
     background = trained.renderer.background
     if background is None or background.model.shadow is None:
         return None
@@ -212,10 +212,9 @@ def _bake_points(
 def _bake_blending(
     model: PointModel, points: EvaluatedPoints, sources: list[int], get_source_view: GetSourceView
 ) -> tuple[Tensor, Tensor]:
-    """Compute the points' blend weights (N, V), and their colours (N, V, 3) in [0, 1]. Each source view is evaluated
-    separately.
+    """Compute the points' blend weights (N, V) and their colours (N, V, 3) in [0, 1], one source view at a time.
 
-    The blend weight of a point is 0 in each view where the point is occluded.
+    The blend weight of a point is 0 in the views in which it is occluded.
     """
     count = points.xyz.shape[0]
     weights = torch.zeros(count, len(sources))

@@ -18,11 +18,11 @@ from fourd.ops.points.arrays import point_visibility_numpy
 from fourd.ops.shade.harmonics import SH_CONSTANT, directional_terms
 
 MIN_WEIGHT = 0.02
-"""The weight of a direction in the fit is this number plus the visibility, in [0, 1], of the point from this
+"""In the fit, the weight of a direction is this number plus the visibility, in [0, 1], of the point from that
 direction."""
 RIDGE = (1e-4, 3e-2, 1e-1, 2e-1)
-"""Weight of the squared coefficients in the least-squares cost, for the degrees 0 to 3 of the harmonics, relative
-to the sum of the weights of all directions. The regularisation keeps the coefficients from fitting noise."""
+"""Regularisation weights of the squared coefficients of degree 0 to 3, relative to the sum of the weights of all
+directions. They keep the coefficients from fitting noise."""
 DIRECTIONS = 24
 """Number of viewpoints used for a scene without cameras."""
 _CHUNK = 8192
@@ -96,9 +96,8 @@ class ColourFit:
 def viewpoints(manifest: SceneManifest) -> tuple[Camera, ...]:
     """Return the cameras for which the colours of a scene are evaluated.
 
-    The result contains the cameras of the source views, and cameras halfway between neighbouring source views. If a
-    scene has no source views, all its cameras take the place of the source views. If a scene has no cameras, the result
-    contains cameras on a sphere around the scene.
+    These are the cameras of the source views, or all cameras if the scene has no source views, and cameras halfway
+    between neighbouring ones. For a scene without cameras, they are cameras on a sphere around the scene.
     """
     cameras = manifest.source_cameras or manifest.cameras
     if cameras:
@@ -109,7 +108,7 @@ def viewpoints(manifest: SceneManifest) -> tuple[Camera, ...]:
 def between(cameras: Sequence[Camera], focus: NDArray[np.float64]) -> list[Camera]:
     """Return cameras halfway between each camera and its nearest cameras, without duplicates.
 
-    The new cameras look at ``focus``. Each new camera has the intrinsics of one of its two neighbours.
+    The new cameras look at ``focus``, and each has the intrinsics of one of its two neighbours.
     """
     pairs = set()
     for index, camera in enumerate(cameras):
@@ -125,7 +124,7 @@ def between(cameras: Sequence[Camera], focus: NDArray[np.float64]) -> list[Camer
 
 
 def _all_sides(manifest: SceneManifest) -> tuple[Camera, ...]:
-    """Return cameras on a sphere around the bounds. The centres of the cameras form a spherical Fibonacci lattice."""
+    """Return cameras on a sphere around the bounds. Their centres form a spherical Fibonacci lattice."""
     lower, upper = (np.asarray(corner) for corner in manifest.bounds)
     centre, radius = (lower + upper) / 2, max(float(np.linalg.norm(upper - lower)), 1e-3)
     size, intrinsics = 256, np.array([[256.0, 0, 128], [0, 256.0, 128], [0, 0, 1]])

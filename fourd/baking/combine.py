@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 from fourd.baking.scene import SHADOW_IDENTITY, BakedFrame, make_frame
 
 _ROWS = 2048
-"""Number of points whose colours are multiplied by the shadow in one block. The data of one block fits in the L2
+"""Number of points whose colours are multiplied by the shadow in one block, chosen such that the block fits in the L2
 cache."""
 
 
 def combine_frames(dynamic: BakedFrame, background: BakedFrame, shadow: NDArray[np.uint8] | None = None) -> BakedFrame:
     """Concatenate dynamic and background points, in this order, into one frame with new read-only arrays.
 
-    The combined frame keeps a reference to ``background``. The reference lets a renderer recognise a background that
-    was already uploaded.
+    The combined frame keeps a reference to ``background``, so that a renderer recognises a background that it has
+    already uploaded.
 
     Args:
         dynamic: the N dynamic points of the frame.

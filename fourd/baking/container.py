@@ -1,12 +1,11 @@
-"""The `.4dv` file: a ZIP64 archive with manifest.json and one member per frame and attribute. A member is a file inside
-the archive.
+"""The `.4dv` file: a ZIP64 archive with manifest.json and one member (file inside the archive) per frame and attribute.
 
 The archive of a full scene (a scene with a static background) also contains each attribute of the background, once for
-all frames. The archive can also contain one shadow per frame.
+all frames, and can contain one shadow per frame.
 
 Members are stored uncompressed, so that one frame can be read with a seek or an HTTP range request. The reader treats
-the file as untrusted: it compares the members' sizes with the manifest before it allocates memory. Members that the
-reader does not know are skipped.
+the file as untrusted: it compares the members' sizes with the manifest before it allocates memory. It skips members
+that it does not know.
 """
 
 from __future__ import annotations
@@ -97,7 +96,7 @@ class SceneWriter:
         Args:
             frame: the points of this frame, without the background.
             shadow: (M,) uint8 factors, in units of 1/128, that multiply the colours of the M background points in this
-                frame. Only full scenes have shadows. Either all frames have a shadow or no frame has one.
+                frame. Only full scenes have shadows, and either all frames have one or none has.
         """
         if index != len(self._points) or index >= self.manifest.frame_count:
             raise ValueError(
@@ -195,7 +194,7 @@ class SceneWriter:
 
 
 class SceneReader:
-    """Reads a `.4dv`. Each call reads the requested frame from the file. Only the background is kept in memory.
+    """Reads a `.4dv`. Each call reads the requested frame from the file; only the background is kept in memory.
 
     Several threads may use one instance at the same time. ``path`` can be a URL, such as s3://bucket/scene.4dv. A scene
     at a URL is read with range requests, without a local copy.
@@ -207,8 +206,8 @@ class SceneReader:
 
     Raises:
         UserError: if the file is truncated, is not a scene, has a newer format or is inconsistent. An invalid file
-            raises UserError when it is opened. A damaged member of the ZIP raises UserError when the member is read.
-            The message is one line that names the file and says how to solve the problem.
+            raises it when it is opened, and a damaged member of the ZIP when it is read. The message is one line that
+            names the file and says how to solve the problem.
     """
 
     def __init__(self, path: Location | str) -> None:
@@ -249,7 +248,7 @@ class SceneReader:
         )
 
     def read_background(self) -> BakedFrame | None:
-        """Return the cached background points, without shadows. Returns None for an object scene (a scene without a
+        """Return the cached background points, without shadows, or None for an object scene (a scene without a
         background)."""
         described = self.manifest.background
         if described is None:
@@ -263,8 +262,8 @@ class SceneReader:
             return self._background
 
     def read_shadow(self, index: int) -> NDArray[np.uint8] | None:
-        """Read a frame's shadow factors: for each of the M background points, the factor of its colours, (M,) uint8 in
-        units of 1/128. Returns None if the scene has no shadows.
+        """Read a frame's shadow factors, which multiply the colours of the M background points. Returns (M,) uint8 in
+        units of 1/128, or None if the scene has no shadows.
 
         Raises IndexError if the scene has no frame ``index``.
         """
@@ -314,8 +313,7 @@ class SceneReader:
 
     @contextmanager
     def _decoding(self, name: str) -> Iterator[None]:
-        """Context manager that raises a UserError with the file's name if the code in the ``with`` block finds a
-        damaged member."""
+        """Raise a UserError with the file's name if the code in the ``with`` block finds a damaged member."""
         try:
             yield
         except StreamError as error:

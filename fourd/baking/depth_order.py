@@ -21,11 +21,10 @@ class DepthSorter:
         self._points = PointSorter()
 
     def sort(self, frame: BakedFrame, camera: Camera, near: float, *, threads: int = 0) -> NDArray[np.uint32]:
-        """Return the indices of the points that lie in the image of ``camera``, from the nearest to the farthest point.
-        Points of equal depth are ordered by index.
+        """Return the indices of the points that lie in the image of ``camera``, sorted from near to far. Points of
+        equal depth are ordered by index.
 
-        See :meth:`fourd.ops.play.op.PointSorter.sort` for the arguments and errors, and for the kinds of points that
-        are omitted. The radii and densities of ``frame`` must be finite; :class:`fourd.baking.container.SceneReader`
-        checks this.
+        See :meth:`fourd.ops.play.op.PointSorter.sort` for the arguments, the errors and the points that are omitted.
+        The radii and densities of ``frame`` must be finite; :class:`fourd.baking.container.SceneReader` checks this.
         """
         return self._points.sort(frame.xyz, frame.radius, frame.density, camera, near, threads=threads)

@@ -67,10 +67,9 @@ class GpuPlayer:
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         out: Tensor | None = None,
     ) -> Tensor:
-        """Draw the same image as :meth:`fourd.baking.player.Player.draw`. Each byte differs from the corresponding byte
-        of that image by at most 1.
+        """Draw the same image as :meth:`fourd.baking.player.Player.draw`, up to a difference of 1 per byte.
 
-        The work is queued on torch's current CUDA stream. The call returns before the image is complete.
+        The work is queued on torch's current CUDA stream, so the call returns before the image is complete.
 
         Returns:
             image (H, W, 4) uint8 on the device. If ``out`` is given, the image is drawn into ``out`` and ``out`` is

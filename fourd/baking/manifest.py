@@ -31,12 +31,12 @@ MAX_POINTS = 1 << 26
 MAX_VIEWS = 4096
 MAX_SIDE = 1 << 16
 MAX_PIXELS = 1 << 25
-"""Maximum number of pixels of a camera. 8K cameras have 7680 x 4320 pixels, which is less."""
+"""Maximum number of pixels of a camera, which is enough for 8K (7680 x 4320)."""
 KINDS: tuple[SceneKind, ...] = ("object", "full")
 
 
 class NewerVersionError(ManifestError):
-    """Error that is raised if the manifest has a newer version than this program supports."""
+    """Raised if the manifest has a newer version than this program supports."""
 
 
 def manifest_to_json(manifest: SceneManifest) -> bytes:
@@ -147,8 +147,8 @@ def _bounds(node: JsonNode) -> tuple[tuple[float, float, float], tuple[float, fl
 
 
 def _check_attributes(node: JsonNode) -> tuple[str, ...]:
-    """Check the attributes that this program knows, and return the names of the optional attributes. Unknown attributes
-    are skipped."""
+    """Check the attributes that this program knows, and return the names of the optional ones among them. Unknown
+    attributes are skipped."""
     optional = []
     for attribute in ATTRIBUTES:
         if attribute.is_optional:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Playable(Protocol):
-    """Renders frames that are given by their indices."""
+    """Renders the frames of a run or a scene by index."""
 
     @property
     def views(self) -> dict[str, Camera]:
@@ -116,8 +116,7 @@ class PlayableRun:
 
 
 def open_playable(path: Location) -> Playable:
-    """Open a run's folder, a `.4dv` or its URL, or Gaussian splats. torch is loaded only for a run. Raises
-    UserError."""
+    """Open a run folder, a `.4dv` or its URL, or Gaussian splats. torch is loaded only for a run. Raises UserError."""
     if isinstance(path, StorageUrl):
         return PlayableScene(open_scene(path))
     if not path.exists():
@@ -132,7 +131,7 @@ def open_playable(path: Location) -> Playable:
 
 
 def find_view(playable: Playable, name: str) -> Camera:
-    """Return the capture camera ``name``. If there is no such camera, raises a UserError that lists the valid names."""
+    """Return the capture camera ``name``. Raises a UserError that lists the valid names if there is no such camera."""
     views = playable.views
     if name not in views:
         raise UserError(f"--views: expected names out of {', '.join(views)}, got {name}")
@@ -142,8 +141,8 @@ def find_view(playable: Playable, name: str) -> Camera:
 def select_frames(playable: Playable, selection: str | None) -> list[int]:
     """Return the indices of the frames whose numbers in the capture are in the range ``selection``.
 
-    The text A:B:S selects the frames A, A + S, A + 2 * S and so on, below B. The text A:B has the step 1. If
-    ``selection`` is None, all frames are selected. Raises UserError.
+    The text A:B:S selects the frames A, A + S, A + 2 * S and so on, below B; A:B selects with step 1. If ``selection``
+    is None, all frames are selected. Raises UserError.
     """
     numbers = playable.frame_numbers
     if selection is None:
@@ -156,6 +155,6 @@ def select_frames(playable: Playable, selection: str | None) -> list[int]:
 
 
 def selected_rate(playable: Playable, frames: Sequence[int]) -> float:
-    """Frame rate that plays the selected frames at the speed of the recording. ``frames`` are evenly spaced frame
-    indices."""
+    """Return the frame rate at which the selected frames play at the speed of the recording. ``frames`` are evenly
+    spaced frame indices."""
     return playable.fps if len(frames) < 2 else playable.fps / (frames[1] - frames[0])

@@ -43,7 +43,7 @@ class Player:
 
         The image differs in two ways from the image that :meth:`fourd.baking.rendering.Scene.render` returns. First,
         values are rounded to bytes, before and after the scene's pixel filter. Second, compositing of a pixel ends when
-        the pixel's transmittance falls below :data:`fourd.ops.play.op.MIN_TRANSMITTANCE`.
+        its transmittance falls below :data:`fourd.ops.play.op.MIN_TRANSMITTANCE`.
 
         Args:
             frame: a frame whose values are all finite; :class:`fourd.baking.container.SceneReader` checks this.

@@ -48,8 +48,8 @@ class Scene:
         self._reader = open_reader(parse_location(path))
         manifest = self._reader.manifest
         largest = max((manifest.frame_nbytes(index) for index in range(manifest.frame_count)), default=0)
-        # ``cache_bytes`` includes the memory of the background, which the reader keeps. The largest frame must fit in
-        # the cache.
+        # The background, which the reader keeps in memory, counts towards ``cache_bytes``. The cache is at least large
+        # enough for the largest frame.
         size = max(cache_bytes - manifest.background_nbytes, largest)
         self._cache: LRUCache[int, BakedFrame] = LRUCache(size, getsizeof=lambda frame: frame.nbytes)
         self._lock = Lock()

@@ -19,7 +19,7 @@ FORMAT_VERSION = 4
 OBJECT_VERSION, FULL_VERSION, PACKED_VERSION, VIDEO_VERSION = 1, 2, 3, 4
 """Format versions that are written for object scenes (only dynamic points), full scenes (with a static background),
 packed scenes, and packed scenes of the tier "video". A scene is written in the oldest version that supports its
-contents, so that older programs can read the scene."""
+contents, so that older programs can read it."""
 SHADOW_IDENTITY = 128
 """The shadow factor that leaves a colour unchanged. Shadows are uint8 factors in units of 1/128."""
 
@@ -42,8 +42,8 @@ class BakedFrame:
         rgb: (N, V, 3) uint8, the point's colour in every source view.
         normals: (N, 2) uint8, octahedral unit normals (:func:`fourd.stylize.normals.encode_octahedral`) in world axes.
             None if the scene has no normals.
-        background: the M background points, which are also the last M points of this frame. All frames share the same
-            background object. None if the frame has no background points.
+        background: the M background points, which are also the last M points of this frame, as one object that all
+            frames share. None if the frame has no background points.
         has_shadow: whether the ``rgb`` of the last M points has been multiplied by a shadow.
 
     Raises:
@@ -104,8 +104,8 @@ class BakedFrame:
         return sum(array.nbytes for array in self.arrays.values())
 
     def find_invalid_array(self) -> str | None:
-        """Name of the first array with a value that :data:`ATTRIBUTES` excludes, such as NaN. None if all arrays are
-        valid."""
+        """Return the name of the first array with a value that :data:`ATTRIBUTES` excludes, such as NaN, or None if all
+        arrays are valid."""
         arrays = self.arrays
         for attribute in self.attributes:
             if not attribute.has_valid_values(arrays[attribute.name]):
@@ -143,12 +143,12 @@ class SceneManifest:
 
     Attributes:
         source_names, source_cameras: names and cameras of the V source views, in the order of the frames' arrays.
-        focus: point (x, y, z), in world units, at which angles between views are measured.
+        focus: point (x, y, z), in world units, from which the angles between views are measured.
         bounds: lower and upper corner, in world units, of the box that contains the dynamic points.
         frame_numbers: for each frame, its number in the capture.
         points: number of dynamic points of each frame; set by the writer.
-        other_names, other_cameras: names and cameras of the capture's other views, such as held-out views. Other views
-            are not source views, but images can be rendered from their cameras by name.
+        other_names, other_cameras: names and cameras of the capture's other views, such as held-out views. They
+            contribute no colours, but images can be rendered from these cameras by name.
         fps: playback rate, frames per second.
         is_fps_known: true if ``fps`` is the rate of the recording or was set by the user; false if ``fps`` may be a
             default value.
@@ -159,8 +159,8 @@ class SceneManifest:
         sh_range, sh_base: constants of the view-dependent colour ``sh_base + sh_range * tanh(dot(sh, Y(d)))``, where
             Y(d) are the spherical harmonics in viewing direction d.
         near: depth, in world units, of the near plane. Points with a smaller depth are not rendered.
-        pixel_filter: weight of a neighbouring pixel in the filter of rendered images, from 0 to 0.25; see
-            :func:`fourd.ops.pixel_filter.op.filter_pixels`. With 0, images are not filtered.
+        pixel_filter: weight of a neighbouring pixel in the filter that is applied to rendered images, from 0 to 0.25;
+            see :func:`fourd.ops.pixel_filter.op.filter_pixels`. If it is 0, images are not filtered.
         kind: "object" (only dynamic points) or "full" (dynamic points and a static background).
         background: static points of a full scene; set by the writer.
         producer: program and version that wrote the scene.
@@ -228,7 +228,7 @@ class SceneManifest:
         return self.source_cameras + self.other_cameras
 
     def camera(self, name: str) -> Camera:
-        """The camera with the name ``name``. Raises KeyError if there is no such camera."""
+        """Return the camera ``name``. Raises KeyError if there is no such camera."""
         if name not in self.names:
             raise KeyError(name)
         return self.cameras[self.names.index(name)]
@@ -244,7 +244,7 @@ class SceneManifest:
         return 0 if self.background is None else self._nbytes(self.background.points)
 
     def frame_nbytes(self, frame: int) -> int:
-        """Memory of a frame's arrays in bytes, including the background's points."""
+        """Return the memory of a frame's arrays in bytes, including the background points."""
         return self._nbytes(self.points[frame]) + self.background_nbytes
 
     def _nbytes(self, points: int) -> int:
@@ -252,7 +252,7 @@ class SceneManifest:
 
 
 def select_attributes(optional: Iterable[str]) -> tuple[Attribute, ...]:
-    """The required attributes and the attributes whose names are in ``optional``, in the order of ATTRIBUTES."""
+    """Return the required attributes and those named in ``optional``, in the order of ATTRIBUTES."""
     names = set(optional)
     return tuple(item for item in ATTRIBUTES if not item.is_optional or item.name in names)
 

@@ -41,8 +41,7 @@ def make_shading(camera: Camera, manifest: SceneManifest) -> Shading:
 
 
 def select_source_views(camera: Camera, manifest: SceneManifest) -> SelectedViews:
-    """Select the ``manifest.neighbours`` source views with the smallest angles to ``camera``. The angles are measured
-    at the focus.
+    """Select the ``manifest.neighbours`` source views with the smallest angles to ``camera``, as seen from the focus.
 
     If a scene has no source views, none are selected.
     """

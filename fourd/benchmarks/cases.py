@@ -1,4 +1,4 @@
-"""Benchmark cases. A case is a kernel or a training step, with other implementations of the same computation."""
+"""Benchmark cases: kernels and training steps, with other implementations of the same computations."""
 
 from __future__ import annotations
 
@@ -51,10 +51,10 @@ class Case:
 
 
 def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
-    """Yield all cases. Each case is created on demand. Temporary files are removed when ``resources`` is closed.
+    """Yield all cases, each created on demand. Temporary files are removed when ``resources`` is closed.
 
     Args:
-        steps: whether to include whole training steps. A synthetic capture is created for training steps.
+        steps: whether to include whole training steps, for which a synthetic capture is made.
     """
     # The reference implementation is timed only in this small case, because its memory is proportional to the number of
     # points times the number of pixels.
@@ -86,8 +86,8 @@ def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
 
 
 def composite(cloud: dict[str, Tensor], view: Camera, layers: int, backward: bool, backend: str = "auto") -> Work:
-    """Return a function that renders a point cloud. If ``backward``, the function also computes the gradients of all
-    arrays of the point cloud."""
+    """Return a function that renders a point cloud and, if ``backward``, computes the gradients with respect to all its
+    arrays."""
 
     def work() -> object:
         free = {name: array.requires_grad_(backward) for name, array in cloud.items()}
@@ -120,7 +120,7 @@ def plane_case(count: int, device: torch.device) -> Case:
 def sampling_case(count: int, device: torch.device) -> Case:
     """Return the case that samples four source views at projected points.
 
-    The backward pass computes the gradients with respect to the points and to the feature maps of the views.
+    The backward pass computes the gradients with respect to the points and the feature maps.
     """
     generator = torch.Generator().manual_seed(count)
 

@@ -19,13 +19,13 @@ from fourd.cameras import Camera
 from fourd.ops.gpu import has_gpu
 
 REPEATS = 20
-"""Number of times that a computation runs between two synchronizations with the device."""
+"""Number of runs of a computation between two synchronizations with the device."""
 
 SIZES = ((1920, 1080), (3840, 2160))
 
 
 def gpu_cases() -> Iterator[Case]:
-    """Yield all cases. Yields no case if there is no CUDA device or no kernel for the device."""
+    """Yield all cases, or none if there is no CUDA device or no kernel for it."""
     if not has_gpu():
         return
     device = torch.device("cuda", torch.cuda.current_device())
@@ -68,6 +68,6 @@ def _play(device: torch.device, count: int, view: Camera, layers: int) -> Case:
 
 
 def _on_gpu(case: Case) -> Case:
-    """Return a GPU case whose work and rivals run :data:`REPEATS` times per timing."""
+    """Return a GPU case whose work and rivals (other implementations) run :data:`REPEATS` times per timing."""
     rivals = {name: repeat(work) for name, work in case.rivals.items()}
     return Case(f"GPU: {case.name}", repeat(case.work), rivals, REPEATS)

@@ -1,4 +1,4 @@
-"""Benchmark work of rasterization, interpolation and the gradients of silhouettes."""
+"""Benchmark computations: rasterization, interpolation and silhouette gradients."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fourd.raster.triangles import (
 )
 
 DEPTH_LIMITS = (0.5, 10.0)
-"""Depths of the near and the far plane, in units of the mesh."""
+"""Depths of the near and the far plane, in the mesh's units of length."""
 
 
 def make_mesh(count: int) -> tuple[Tensor, Tensor]:
@@ -47,8 +47,8 @@ def project(xyz: Tensor, side: int) -> Tensor:
 
 
 def rasterizing(count: int, side: int, backward: bool) -> Work:
-    """Return a function that rasterizes about ``count`` triangles and computes the screen-space derivatives. If
-    ``backward``, the function only computes the gradient of the positions."""
+    """Return a function that rasterizes about ``count`` triangles with screen-space derivatives or, if ``backward``,
+    only computes the gradients with respect to the positions."""
     xyz, tri = make_mesh(count)
     pos = project(xyz, side)
     if not backward:
@@ -60,8 +60,8 @@ def rasterizing(count: int, side: int, backward: bool) -> Work:
 
 
 def interpolating(count: int, side: int, backward: bool) -> Work:
-    """Return a function that interpolates three channels. If ``backward``, the function only computes the gradients of
-    the attributes and of the barycentric weights."""
+    """Return a function that interpolates three channels or, if ``backward``, only computes the gradients with respect
+    to the attributes and the barycentric weights."""
     xyz, tri = make_mesh(count)
     rast, _ = rasterize(project(xyz, side), tri, (side, side))
     if not backward:
@@ -73,8 +73,8 @@ def interpolating(count: int, side: int, backward: bool) -> Work:
 
 
 def antialiasing(count: int, side: int, *, changes_image: bool = True) -> Work:
-    """Return a function that antialiases three channels and computes the gradients of the colours and the positions.
-    The topology is built only once, before the timing. If ``changes_image`` is false,
+    """Return a function that antialiases three channels and computes the gradients with respect to the colours and
+    positions. The topology is built only once, before the timing. If ``changes_image`` is false,
     :func:`fourd.raster.triangles.edge_gradients` replaces ``antialias``."""
     xyz, tri = make_mesh(count)
     topology = antialias_construct_topology(tri)

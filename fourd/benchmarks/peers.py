@@ -1,6 +1,6 @@
-"""The computations of the benchmarks, implemented with other libraries for comparison.
+"""The benchmark computations in other libraries, for comparison.
 
-The libraries for the comparison are optional.
+These libraries are optional.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fourd.cameras import Camera
 
 
 def missing_peers() -> list[str]:
-    """Return the names of the libraries that are missing for the comparisons of CPU benchmarks."""
+    """Return the names of the libraries for the CPU comparisons that are not installed."""
     return [name for name in ("pytorch3d", "embreex") if find_spec(name) is None]
 
 
@@ -60,8 +60,8 @@ def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, ba
 
 
 def pytorch3d_rasterizer(pos: Tensor, tri: Tensor, side: int) -> Work | None:
-    """Return a function that rasterizes clip coordinates (V, 4) with PyTorch3D. Each pixel stores one triangle, and no
-    gradient is computed.
+    """Return a function that rasterizes clip coordinates (V, 4) with PyTorch3D, with one triangle per pixel and without
+    gradients.
 
     Returns None if PyTorch3D is not installed.
     """
@@ -80,8 +80,8 @@ def pytorch3d_rasterizer(pos: Tensor, tri: Tensor, side: int) -> Work | None:
 def gsplat_rasterizer(cloud: dict[str, Tensor], view: Camera, backward: bool) -> Work | None:
     """Return a function that runs gsplat's rasterizer. Returns None if gsplat is not installed.
 
-    To make the timings comparable, each point becomes an isotropic Gaussian. gsplat truncates the Gaussian at the
-    point's radius. The cloud must be on a CUDA device, because gsplat supports only CUDA.
+    For comparable timings, each point becomes an isotropic Gaussian that gsplat truncates at the point's radius. The
+    cloud must be on a CUDA device, because gsplat supports only CUDA.
     """
     try:
         rendering: Any = import_module("gsplat.rendering")
@@ -96,7 +96,7 @@ def gsplat_rasterizer(cloud: dict[str, Tensor], view: Camera, backward: bool) ->
 
     def work() -> object:
         free = {name: array.requires_grad_(backward) for name, array in cloud.items()}
-        # gsplat truncates a Gaussian at three standard deviations.
+        # The scale is a third of the radius, because gsplat truncates a Gaussian at three standard deviations.
         scales = (free["radius"] / 3)[:, None].expand(count, 3)
         image, alpha, _ = rendering.rasterization(
             free["xyz"],
@@ -115,7 +115,7 @@ def gsplat_rasterizer(cloud: dict[str, Tensor], view: Camera, backward: bool) ->
 
 
 def embree_tracer(xyz: Tensor, tri: Tensor, origins: Tensor, directions: Tensor) -> Work | None:
-    """Return a function that finds the nearest hits of rays with Embree. The package embreex runs Embree on one thread.
+    """Return a function that finds the nearest hits of rays with Embree, which the package embreex runs on one thread.
 
     Returns None if embreex is not installed.
     """

@@ -1,4 +1,4 @@
-"""Benchmark work of ray tracing."""
+"""Benchmark computations: ray tracing."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ def primary_rays(side: int) -> tuple[Tensor, Tensor]:
 
 
 def random_rays(count: int) -> tuple[Tensor, Tensor]:
-    """Return incoherent rays: each ray connects two random points of the cube [-1, 1]^3, which
-    contains almost the whole mesh."""
+    """Return incoherent rays, each from one random point to another in the cube [-1, 1]^3, which contains almost the
+    whole mesh."""
     generator = torch.Generator().manual_seed(count)
     ends = 2 * torch.rand(2, count, 3, generator=generator) - 1
     return ends[0], ends[1] - ends[0]
 
 
 def ray_works(count: int, side: int) -> Iterator[tuple[str, Work, dict[str, Work]]]:
-    """Yield benchmarks with about ``count`` triangles: building a BVH, refitting it, and tracing rays. Each benchmark
-    consists of a name, the work, and other implementations of the work, by name."""
+    """Yield benchmarks with about ``count`` triangles: building a BVH, refitting it, and tracing rays. Each is a name,
+    the function to time, and other implementations of the computation by name."""
     xyz, tri = make_mesh(count)
     bvh = Bvh.build(xyz, tri)
     yield f"build a BVH over {count:,} triangles", lambda: Bvh.build(xyz, tri), {}

@@ -17,7 +17,7 @@ FORMAT_VERSION = 1
 
 @dataclass(frozen=True)
 class Row:
-    """The timing of a case, and the timings of the case's rivals by name."""
+    """The timing of a case, and the timings of its rivals (other implementations) by name."""
 
     name: str
     timing: Timing
@@ -25,7 +25,7 @@ class Row:
 
     @classmethod
     def measure(cls, case: Case, clock: Clock, *, rivals: bool) -> Row:
-        """Time a case. If ``rivals`` is true, the case's rivals are also timed."""
+        """Time a case and, if ``rivals`` is true, its rivals."""
         others = {name: clock.time(work, case.repeats) for name, work in case.rivals.items()} if rivals else {}
         return cls(case.name, clock.time(case.work, case.repeats), others)
 
@@ -49,7 +49,7 @@ def markdown(rows: Iterable[Row], machine: Machine) -> str:
 
 
 def to_json(rows: Iterable[Row], machine: Machine) -> str:
-    """Format the rows as JSON: milliseconds, units and number of runs of every case and rival."""
+    """Format the rows as JSON: milliseconds, units (see :class:`Timing`) and number of runs of every case and rival."""
     content = {"format": "fourd-bench", "version": FORMAT_VERSION, "machine": asdict(machine)}
     return json.dumps({**content, "rows": [asdict(row) for row in rows]}, indent=1) + "\n"
 

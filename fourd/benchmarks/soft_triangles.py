@@ -1,4 +1,4 @@
-"""Benchmark work of the soft triangle renderers."""
+"""Benchmark computations: the soft triangle renderers."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from fourd.benchmarks.workloads import SEED, make_camera, make_points
 from fourd.raster.triangles import rasterize_soft, splat_triangles
 
 CIRCUMRADIUS = 2.2
-"""Circumradius of the triangles, as a multiple of the spacing of their centres. At each pixel, about 8 triangles
-overlap."""
+"""Circumradius of the triangles, as a multiple of the spacing of their centres. About 8 triangles overlap at each
+pixel."""
 
 
 def make_soup(count: int) -> dict[str, Tensor]:
-    """Make the array arguments of ``splat_triangles``. The triangles are equilateral, have random colours and share no
-    vertices. The triangles lie in tangent planes of the ellipsoid of :func:`fourd.benchmarks.workloads.make_points`."""
+    """Make the array arguments of ``splat_triangles``. The triangles are equilateral, have random colours, share no
+    vertices, and lie in tangent planes of the ellipsoid of :func:`fourd.benchmarks.workloads.make_points`."""
     rng = np.random.default_rng(SEED)
     centres = make_points(count)[0].astype(np.float64)
     normals = _unit(centres)
@@ -37,8 +37,8 @@ def make_soup(count: int) -> dict[str, Tensor]:
 
 
 def splatting(count: int, side: int, backward: bool) -> Work:
-    """Return a function that splats ``count`` triangles with ``geometry=False``. If ``backward``, the function only
-    computes the gradients."""
+    """Return a function that splats ``count`` triangles with ``geometry=False`` or, if ``backward``, only computes the
+    gradients."""
     soup, camera = make_soup(count), make_camera(side, side)
     if not backward:
         return lambda: splat_triangles(**soup, camera=camera, geometry=False)  # type: ignore[arg-type]
@@ -49,8 +49,8 @@ def splatting(count: int, side: int, backward: bool) -> Work:
 
 
 def make_sphere(count: int) -> tuple[Tensor, Tensor]:
-    """Make a closed sphere of about ``count`` triangles: vertices (V, 3) float32 and triangles (T, 3) int32. The sphere
-    covers most of the image of ``make_camera``."""
+    """Make a closed sphere of about ``count`` triangles: vertices (V, 3) float32 and triangles (T, 3) int32. It covers
+    most of the image of ``make_camera``."""
     rows = max(2, round((count / 4) ** 0.5) + 1)
     columns = 2 * rows
     theta, phi = np.meshgrid(np.linspace(0, np.pi, rows + 1), np.arange(columns) * 2 * np.pi / columns, indexing="ij")

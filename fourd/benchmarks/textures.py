@@ -1,4 +1,4 @@
-"""Benchmark work of texture lookups."""
+"""Benchmark computations: texture lookups."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ SEED = 5
 
 
 def make_textured_plane(side: int) -> dict[str, Tensor]:
-    """Make the arguments of ``texture`` for a plane that is seen obliquely and is turned by 0.4 radians.
+    """Make the arguments of ``texture`` for a plane that is seen obliquely and rotated by 0.4 radians.
 
-    The arguments are a random texture ``tex`` (1, side, side, 3), and ``uv`` (1, side, side, 2) and ``uv_da`` (1, side,
-    side, 4) of an image of side x side pixels. The texture repeats. The footprints of the pixels in the texture have
-    longer axes of 1 to 4.7 texels.
+    The arguments are a random, repeating texture ``tex`` (1, side, side, 3), and ``uv`` (1, side, side, 2) and
+    ``uv_da`` (1, side, side, 4) of an image of side x side pixels. The longer axes of the pixels' footprints in the
+    texture are 1 to 4.7 texels long.
     """
     generator = torch.Generator().manual_seed(SEED)
     places = torch.arange(side, dtype=torch.float64) + 0.5
@@ -42,8 +42,8 @@ def make_textured_plane(side: int) -> dict[str, Tensor]:
 
 
 def trilinear_texture(side: int, backward: bool) -> Work:
-    """Return a function that builds the mip levels of a texture and samples the texture. If ``backward``, the function
-    only computes the gradients of all arguments."""
+    """Return a function that builds the mip levels of a texture and samples it or, if ``backward``, only computes the
+    gradients with respect to all arguments."""
     arguments = make_textured_plane(side)
     if not backward:
         return lambda: texture(**arguments)  # type: ignore[arg-type]

@@ -1,7 +1,7 @@
 """Timings that are comparable on a machine under varying load.
 
-A timing is the median over several runs, in milliseconds. The timing is also given as a multiple of the time of a fixed
-computation, which is called the unit.
+A timing is the median over several runs, in milliseconds and as a multiple of the time of a fixed computation, which is
+called the unit.
 """
 
 from __future__ import annotations
@@ -34,12 +34,13 @@ class Timing:
 
 
 class Clock:
-    """Times a function in several rounds. Each round also times the unit."""
+    """Times functions in several rounds, each of which also times the unit."""
 
     def __init__(self, seconds: float, min_runs: int = 3, max_runs: int = 50) -> None:
-        """``seconds`` is the approximate total time of the timed runs of one function.
+        """Choose how long each function is timed.
 
-        ``seconds`` determines the number of timed runs, which lies between ``min_runs`` and ``max_runs``.
+        ``seconds`` is the approximate total time of the timed runs of one function. Their number is at least
+        ``min_runs`` and at most ``max_runs``.
         """
         generator = torch.Generator().manual_seed(0)
         self._square = torch.randn(UNIT_SIDE, UNIT_SIDE, generator=generator)
@@ -50,15 +51,15 @@ class Clock:
     def time(self, work: Work, repeats: int = 1) -> Timing:
         """Time ``work`` after one warm-up run.
 
-        ``work`` runs its computation ``repeats`` times. The timing is the time of one repeat.
+        ``work`` runs its computation ``repeats`` times; the result is the time of one repeat.
         """
         first = _time_ms(work)
         runs = max(self._min_runs, min(self._max_runs, int(1000 * self._seconds / max(first, 0.1))))
         units, times = [], []
         for _ in range(runs):
             units.append(_time_ms(lambda: self._square @ self._square))
-            # The first run of the work is not timed, because the OpenMP threads of the matrix product above still spin
-            # during this run and slow it down.
+            # The first run is not timed, because the OpenMP threads of the matrix product above still spin and slow it
+            # down.
             work()
             times.append(_time_ms(work) / repeats)
         ratios = [one / unit for one, unit in zip(times, units, strict=True)]

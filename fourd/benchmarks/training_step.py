@@ -1,5 +1,5 @@
-"""Whole training steps on a synthetic capture. Each step does the same work as a step of `fourd train`, except that it
-reads no images."""
+"""Whole training steps on a synthetic capture. They do the same work as the steps of `fourd train`, but read no
+images."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ CAMERAS = 6
 def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
     """Yield four training steps with their names.
 
-    Two steps use the default config, and two steps use whole images and every point. Of two steps with the same config,
-    one trains the image CNN, and the other keeps it frozen.
+    Two use the default config, and two use whole images and every point. For each config, one step trains the image
+    CNN, and the other keeps it frozen.
 
     The capture is in a temporary folder, which is removed when ``resources`` is closed.
     """

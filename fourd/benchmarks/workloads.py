@@ -18,8 +18,8 @@ RADIUS_IN_SPACINGS = 1.3
 def make_points(count: int) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Make N points on an ellipsoid: xyz (N, 3), radius (N,) and density (N,).
 
-    The ellipsoid covers 40% of the image of :func:`make_camera`. The ellipsoid's surface has gaps and semi-transparent
-    overlaps. The front of the ellipsoid occludes the back.
+    The ellipsoid covers 40% of the image of :func:`make_camera`. Its surface has gaps and semi-transparent overlaps,
+    and its front occludes its back.
     """
     rng = np.random.default_rng(SEED)
     directions = rng.standard_normal((count, 3))
@@ -50,12 +50,11 @@ def make_camera(width: int, height: int, angle: float = 0.0) -> Camera:
 
 
 def make_baked_frame(count: int, views: int = 17, *, ordered: bool = False) -> tuple[BakedFrame, SceneManifest]:
-    """Make a baked frame from :func:`make_points` and the frame's manifest. ``views`` source cameras are placed in a
+    """Make a baked frame of the points from :func:`make_points`, and its manifest, with ``views`` source cameras in a
     ring.
 
     Args:
-        ordered: whether to sort the points in Morton order, as a trained run does. If false, the points are in random
-            order.
+        ordered: whether to sort the points in Morton order, as in trained runs. If false, their order is random.
     """
     rng = np.random.default_rng(SEED + 2)
     xyz, radius, density = make_points(count)
@@ -85,11 +84,11 @@ def make_baked_frame(count: int, views: int = 17, *, ordered: bool = False) -> t
 
 
 def make_planes(side: int = 64, levels: int = 4, features: int = 8, frames: int = 24) -> tuple[list[Tensor], list[int]]:
-    """Make six K-Planes per level. The results are the planes (rows, columns, features), and a flat list with the two
-    axes of each plane.
+    """Make six K-Planes per level. Returns the planes (rows, columns, features), and a flat list with the two axes of
+    each plane.
 
-    A spatial axis has ``side`` samples at the first level. The number of samples doubles from level to level. The time
-    axis has ``frames`` samples at every level.
+    A spatial axis has ``side`` samples at the first level and twice as many at each further level. The time axis always
+    has ``frames`` samples.
     """
     generator = torch.Generator().manual_seed(SEED)
     pairs = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))

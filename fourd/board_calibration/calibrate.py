@@ -57,8 +57,8 @@ class CalibrationSettings:
         intrinsics: folder or file with known lenses, or None to estimate all lenses.
         frames: range A:B[:S] of the frames to search. If None, all frames are searched, or 400 evenly spaced frames if
             there are more.
-        floor_frame: number of a frame in which the board lies on the floor, or None. The world's origin is then a
-            corner of the board, and z points up. Without a floor frame, the world has the axes of the first camera.
+        floor_frame: number of a frame in which the board lies on the floor, or None. With a floor frame, the world's
+            origin is a corner of the board, and z points up. Otherwise, the world has the axes of the first camera.
         offsets: delay, in frames, of each camera's video, by camera name.
     """
 
@@ -149,7 +149,7 @@ def _check_counts(
 
 
 def _frame_numbers(frames: SynchronizedFrames, source: Path, settings: CalibrationSettings, log: Log) -> list[int]:
-    """The numbers of the frames to search."""
+    """Return the numbers of the frames to search."""
     numbers = list(parse_frame_range(settings.frames, frames.count, "video"))
     if settings.frames is None and len(numbers) > MAX_FRAMES:
         numbers = sample_indices(frames.count, MAX_FRAMES)

@@ -21,13 +21,14 @@ MIN_SPREAD = 0.5
 """Minimum standard deviation, in squares, of a view's corners perpendicular to the line that fits them best. Corners on
 one line do not determine a pose."""
 MARKER_CLEARANCE = 0.95
-"""Half the side length of the patch in which a corner is located to sub-pixel accuracy, as a share of the distance from
-the corner to the nearest marker."""
+"""Half the side length of the patch in which a corner is located to sub-pixel accuracy, as a fraction of the distance
+from the corner to the nearest marker."""
 CHESSBOARD_PATCH = 0.2
 """Half the side length of the patch around a corner of a chessboard, in squares."""
 MAX_CHESSBOARD_PX = 1000
 """The search for a chessboard starts in a reduced image, whose longer side has this length in pixels. If the reduced
-image shows no chessboard, the full image is not searched, because that search takes longest without a chessboard.
+image shows no chessboard, the full image is not searched, because a search takes longest in an image without a
+chessboard.
 """
 
 
@@ -75,7 +76,7 @@ class BoardDetector:
         return None
 
     def _detect_side(self, grey: Grey) -> tuple[NDArray[np.intp], Array] | None:
-        """Ids and positions of the corners in OpenCV's pixel coordinates."""
+        """Return the ids and positions of the corners in OpenCV's pixel coordinates."""
         found = self._detect_chessboard(grey) if self._charuco is None else self._detect_charuco(grey, self._charuco)
         if found is None:
             return None
@@ -112,7 +113,7 @@ class BoardDetector:
 
 
 def _is_spread(flat: Array) -> bool:
-    """Whether there are enough corners, and the corners are not nearly on one line. ``flat`` (N, 2) are the corners'
+    """Return True if there are enough corners and they are not nearly on one line. ``flat`` (N, 2) are the corners'
     positions on the board, in squares."""
     if len(flat) < MIN_CORNERS:
         return False

@@ -1,5 +1,5 @@
-"""Reasons why a board is not found: markers or numbers of squares that differ from the board's file, and negative or
-mirrored images."""
+"""Search for the reason why a board is not found: markers or numbers of squares that differ from the board's file, or
+inverted or mirrored images."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Grey = NDArray[np.uint8]
 MIN_MARKERS = 4
 """Minimum number of markers in one image. Fewer markers may be false detections."""
 MAX_TRIED_SQUARES = 14
-"""Largest number of columns and rows that is tried."""
+"""Largest number of columns and of rows that are tried."""
 INLIER_SQUARES = 0.25
 """Maximum distance of a marker from its expected position on a board, in squares."""
 MAX_PX = 800
@@ -35,11 +35,11 @@ MAX_TRIALS = 60
 """Number of random samples per homography. Few samples are enough, because most markers are detected correctly."""
 MAX_FITTED_PICTURES = 3
 ENOUGH_PLACED = 0.9
-"""If a size of the board places at least this share of the markers at their expected positions, no further sizes are
+"""If a board size places at least this fraction of the markers at their expected positions, no further sizes are
 tried."""
 MAX_CHESSBOARD_PICTURES = 3
-"""Maximum number of images that are used to search for chessboards of other sizes. The number is small because the
-search is slow."""
+"""Maximum number of images in which chessboards of other sizes are searched for. It is small because the search is
+slow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class MarkerImage:
 
 @dataclass(frozen=True, eq=False)
 class _FoundMarkers:
-    """Markers of one dictionary, and whether the images were inverted or mirrored to find the markers."""
+    """Markers of one dictionary, and whether the images were inverted or mirrored to find them."""
 
     inverted: bool
     mirrored: bool
@@ -112,8 +112,8 @@ def measure_marker_ratio(board: CalibrationBoard, pictures: Iterable[Grey]) -> f
 
 
 def _search_markers(board: CalibrationBoard, pictures: Sequence[Grey]) -> _FoundMarkers | None:
-    """Search for markers in the images, and in inverted and mirrored copies of the images. Returns the markers of the
-    dictionary with the most detected markers, or None if no marker is found."""
+    """Search for markers in the images, and in inverted and mirrored copies. Returns the markers of the dictionary with
+    the most detections, or None if no marker is found."""
     best, most = None, 0
     for inverted, mirrored in product((board.inverted, not board.inverted), (False, True)):
         turned = [_transform(picture, inverted, mirrored) for picture in pictures]
@@ -152,11 +152,11 @@ def _marker_changes(board: CalibrationBoard, name: str, found: Sequence[MarkerIm
 
 
 def _fit_size(board: CalibrationBoard, name: str, images: Sequence[MarkerImage]) -> tuple[int, int, bool] | None:
-    """Number of columns, number of rows, and whether the pattern is the legacy pattern. The values agree with the
-    positions of the markers in the images.
+    """Find the numbers of columns and rows, and whether the pattern is the legacy pattern, from the positions of the
+    markers.
 
-    If the values of ``board`` agree with the markers, these values are returned. Returns None if no values agree with
-    most of the markers. Not all markers must agree, because some markers are false detections.
+    If the values of ``board`` agree with the markers, they are returned. Returns None if no values agree with most of
+    the markers. The other markers may be false detections.
     """
     total = sum(len(each.ids) for each in images)
     sizes = [(board.columns, board.rows, board.legacy_pattern)]
@@ -178,7 +178,7 @@ def _fit_size(board: CalibrationBoard, name: str, images: Sequence[MarkerImage])
 
 
 def _count_placed(places: Array, found: MarkerImage) -> int:
-    """Number of markers that fit one homography, which maps their centres in the image to their positions on the
+    """Count the markers that fit one homography from the marker centres in the image to the marker positions on the
     board."""
     known = found.ids < len(places)
     if known.sum() < MIN_MARKERS:
@@ -191,7 +191,7 @@ def _count_placed(places: Array, found: MarkerImage) -> int:
 
 
 def _marker_places(board: CalibrationBoard) -> Array:
-    """Centres (M, 2) of the board's markers by id, in squares."""
+    """Return the centres (M, 2) of the board's markers by id, in squares."""
     description = charuco_board(board)
     centres = np.stack([np.asarray(corners)[:, :2].mean(axis=0) for corners in description.getObjPoints()])
     places = np.zeros_like(centres)
@@ -200,8 +200,8 @@ def _marker_places(board: CalibrationBoard) -> Array:
 
 
 def _find_markers(picture: Grey, name: str, precise: bool = False) -> MarkerImage:
-    """Find the markers whose ids occur exactly once in the image. With ``precise``, lines are fitted to the edges of
-    the markers; this takes longer."""
+    """Find the markers whose ids occur exactly once in the image. If ``precise`` is True, lines are fitted to the edges
+    of the markers, which takes longer."""
     parameters = cv2.aruco.DetectorParameters()
     if precise:
         # Without refined corners, blurred markers appear up to 7% too small.
@@ -215,8 +215,8 @@ def _find_markers(picture: Grey, name: str, precise: bool = False) -> MarkerImag
 
 
 def _families() -> list[str]:
-    """The largest dictionary of each family. Each smaller dictionary of a family contains the first markers of the
-    largest dictionary."""
+    """Return the largest dictionary of each family. Each smaller dictionary of a family contains the first markers of
+    the largest dictionary."""
     names = _distinct_dictionaries()
     return [
         name
@@ -226,7 +226,7 @@ def _families() -> list[str]:
 
 
 def _distinct_dictionaries() -> list[str]:
-    """Dictionaries from small to large. A small dictionary is thus preferred to a large dictionary with the same
+    """Return the dictionaries from small to large, so that a small dictionary is preferred to a large one with the same
     markers.
     """
     names = [name for name in dictionary_names() if name == name.upper()]
@@ -234,7 +234,7 @@ def _distinct_dictionaries() -> list[str]:
 
 
 def _contains(name: str, other: str, largest: int) -> bool:
-    """Whether two dictionaries have the same markers up to the id ``largest``."""
+    """Return whether two dictionaries have the same markers up to the id ``largest``."""
     first, second = load_dictionary(name), load_dictionary(other)
     if first.markerSize != second.markerSize or min(len(first.bytesList), len(second.bytesList)) <= largest:
         return False
@@ -256,8 +256,8 @@ def _suggest_chessboard(board: CalibrationBoard, pictures: Sequence[Grey]) -> st
 
 
 def _chessboard_sizes() -> Iterator[tuple[int, int]]:
-    """Numbers of columns and rows to try. Large boards come first, because a part of a large board looks like a small
-    board."""
+    """Yield the numbers of columns and rows to try. Large boards come first, because a part of a large board looks like
+    a small board."""
     tried = range(4, MAX_TRIED_SQUARES + 1)
     sizes = [(columns, rows) for columns in tried for rows in tried if columns > rows]
     yield from sorted(sizes, key=lambda size: -size[0] * size[1])

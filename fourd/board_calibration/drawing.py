@@ -24,7 +24,7 @@ TITLE = 40
 MAX_BOARDS = 60
 """Maximum number of board positions that are drawn."""
 FRUSTUM_SHARE = 0.12
-"""Length of the drawn cameras, as a share of the rig's extent."""
+"""Length of the drawn cameras, as a fraction of the rig's extent."""
 INK, GRID, CAMERA, BOARD = (60, 60, 60), (225, 225, 225), (170, 80, 20), (120, 170, 60)
 """Colours in the order blue, green, red."""
 

@@ -55,24 +55,24 @@ MIN_POSE_VIEWS = 3
 MIN_FITTED_VIEWS = 8
 """A frame is held out only if each camera that sees the board in it keeps at least this number of views in the fit."""
 MIN_FITTED_PAIRS = 4
-"""A frame is held out only if each pair of these cameras keeps at least this number of shared frames in the fit."""
+"""A frame is held out only if each pair of its cameras keeps at least this number of shared frames in the fit."""
 SCALES_PX = (10.0, 1.0, 0.5)
 """Scales, in pixels, of the Huber loss in the successive adjustments."""
 MEDIAN_PER_STD = 1.177
 """Median length of a normally distributed two-dimensional vector, in standard deviations."""
 CORRELATION = 2.5
-"""The corners' standard deviation is multiplied by this factor to weigh the corners against the prior on the lenses.
+"""Factor that multiplies the corners' standard deviation when the corners are weighed against the prior on the lenses.
 
-The factor is needed because the errors of the corners in one image are correlated. Causes of this correlation are
-motion blur, a board that is not exactly flat, and cameras that do not expose at exactly the same time.
+It accounts for correlated errors of the corners in one image, which are caused by motion blur, a board that is not
+exactly flat, and cameras that do not expose at exactly the same time.
 """
 OUTLIER_MEDIANS = 6.0
 """Maximum error of a corner in the last adjustment, as a multiple of its camera's median error. Corners with larger
 errors are left out."""
 MIN_OUTLIER_PX = 0.3
 MAX_MEDIAN = 0.004
-"""Maximum median error of a camera, as a share of the image's longer side. A larger error means that the cameras do not
-see one rigid board at the same time."""
+"""Maximum median error of a camera, as a fraction of the image's longer side. A larger error means that the cameras do
+not see one rigid board at the same time."""
 TIMING_GAIN = 0.97
 """The cameras' delays and readout durations are kept if they reduce the mean error on held-out frames to less than this
 multiple of the mean error without them."""
@@ -91,8 +91,8 @@ class RigFit:
         cameras: C cameras in the coordinates of the first camera, in metres.
         frames: F frame numbers, in ascending order.
         boards: F poses from board to world.
-        held_out: (F,) whether the first fit left the frame out. The errors are measured with the first fit. The last
-            fit uses all frames.
+        held_out: (F,) whether the first fit leaves the frame out. The errors come from the first fit; the last uses all
+            frames.
         corners: the corners of all frames.
         errors: (N,) reprojection errors of the corners in pixels, with the cameras of the first fit and the best pose
             of the board in each frame.
@@ -116,8 +116,8 @@ class RigFit:
     thickness_m: float = 0.0
 
     def rms(self, camera: int, held_out: bool) -> float | None:
-        """Root mean square error, in pixels, of a camera on the held-out frames or on the frames of the first fit. The
-        result is None if the camera has no error for the requested frames."""
+        """Return the root mean square error, in pixels, of a camera on the held-out frames or on the frames of the
+        first fit. The result is None if the camera has no error for the requested frames."""
         rows = (self.corners.camera == camera) & (self.held_out[self.corners.board] == held_out)
         return float(np.sqrt(np.mean(self.errors[rows] ** 2))) if rows.any() else None
 
@@ -316,7 +316,7 @@ def _choose_timing(
 
 
 def _start(rig: RigInput, rough: _Rough, timed: bool) -> tuple[RigState, Corners, tuple[int, ...], Free]:
-    """Initial rig, corners, frame numbers and free parameters for :func:`refine_rig`, with or without timing."""
+    """Return the initial rig, corners, frame numbers and free parameters for :func:`refine_rig`."""
     count, corners = len(rig.names), rough.corners
     mask, timing = rough.free.copy(), None
     if timed:

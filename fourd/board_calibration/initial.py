@@ -21,12 +21,12 @@ Array = NDArray[np.float64]
 MAX_LENS_VIEWS = 40
 """Maximum number of views from which an initial lens is estimated.
 
-The maximum limits the computing time. The bundle adjustment uses all views.
+This limits the computing time; the bundle adjustment uses all views.
 """
 MAX_PAIR_FRAMES = 60
 """Maximum number of frames from which the relative pose of two cameras is chosen."""
 FOCAL_GUESSES = (0.6, 1.0, 1.6)
-"""Initial focal lengths that are tried, as shares of the image's longer side."""
+"""Initial focal lengths that are tried, as fractions of the image's longer side."""
 BAD_VIEW = 3.0
 """A view is not used to estimate the initial lens if its error exceeds this multiple of the median error."""
 AGREEMENT_M = 0.1
@@ -115,8 +115,8 @@ def pair_cameras(located: Sequence[LocatedView]) -> list[CameraPair]:
 
 
 def join_cameras(count: int, pairs: Sequence[CameraPair]) -> list[list[int]]:
-    """Connected components of the graph of cameras, in which each camera pair is an edge. The largest component comes
-    first."""
+    """Return the connected components of the graph of cameras, in which each camera pair is an edge. The largest
+    component comes first."""
     groups = [[index] for index in range(count)]
     for pair in pairs:
         first, second = (next(g for g in groups if index in g) for index in (pair.first, pair.second))
@@ -127,8 +127,8 @@ def join_cameras(count: int, pairs: Sequence[CameraPair]) -> list[list[int]]:
 
 
 def chain_poses(count: int, pairs: Sequence[CameraPair]) -> Poses:
-    """Poses from the first camera's coordinates to the coordinates of each of the ``count`` cameras. The poses are
-    chained along the pairs with the most shared frames.
+    """Return the poses from the first camera's coordinates to the coordinates of each of the ``count`` cameras, chained
+    along the pairs with the most shared frames.
 
     The chains form a maximum spanning tree (Prim's algorithm). The pairs must connect all cameras.
     """
@@ -149,8 +149,8 @@ def chain_poses(count: int, pairs: Sequence[CameraPair]) -> Poses:
 def initial_boards(
     board: CalibrationBoard, cameras: tuple[Camera, ...], located: Sequence[LocatedView], frames: Sequence[int]
 ) -> Poses:
-    """Pose of the board in the world for each frame. Each view of the frame gives one or two poses, and the pose that
-    best fits the views of all cameras is chosen."""
+    """Return the pose of the board in the world for each frame. Each view of the frame gives one or two poses, and the
+    pose that best fits the views of all cameras is chosen."""
     rotations, translations = [], []
     by_frame: dict[int, list[LocatedView]] = {frame: [] for frame in frames}
     for each in located:
@@ -173,7 +173,7 @@ def initial_boards(
 
 
 def views_by_camera(views: Sequence[BoardView], count: int) -> Mapping[int, list[BoardView]]:
-    """The views of each of ``count`` cameras, in the order of the frames."""
+    """Return the views of each of ``count`` cameras, in the order of the frames."""
     found: dict[int, list[BoardView]] = {index: [] for index in range(count)}
     for view in sorted(views, key=lambda view: view.frame):
         found[view.camera].append(view)
@@ -209,12 +209,11 @@ def _fit_lens(
 
 
 def _relative_pose(shared: Sequence[tuple[LocatedView, LocatedView]]) -> Poses:
-    """The relative pose of two cameras: of all candidates, the one that agrees best with the candidates of the other
-    frames.
+    """Return the relative pose of two cameras: of all candidates, the one that agrees best with the candidates of the
+    other frames.
 
-    Each frame gives up to four candidates, because each view has up to two poses. For each candidate, the distance to
-    the nearest candidate of each frame is computed. The candidate with the smallest median of these distances is
-    chosen.
+    Each frame gives up to four candidates, because each view has up to two poses. The chosen candidate has the smallest
+    median distance to the nearest candidates of all frames.
     """
     candidates, frame = [], []
     for number, (first, second) in enumerate(shared):

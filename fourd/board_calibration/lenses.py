@@ -81,7 +81,7 @@ def match_lenses(
 
 
 def _camera_tables(data: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
-    """Tables with a ``matrix``, at the top level or one level below."""
+    """Yield the tables with a ``matrix``, at the top level or one level below."""
     for key, table in data.items():
         if not isinstance(table, dict) or key == "metadata":
             continue

@@ -58,7 +58,7 @@ def print_board(path: Path, board: CalibrationBoard, page: str) -> tuple[float, 
 
 
 def page_size(page: str) -> tuple[float, float]:
-    """Width and height, in millimetres, of the page that the text ``page`` describes: A4, A3, A2, letter, or
+    """Return the width and height, in millimetres, of the page that the text ``page`` describes: A4, A3, A2, letter, or
     WIDTHxHEIGHT. Raises UserError for any other text."""
     if page.lower() in PAGES_MM:
         return PAGES_MM[page.lower()]
@@ -76,7 +76,7 @@ def page_size(page: str) -> tuple[float, float]:
 
 
 def _page_content(board: CalibrationBoard, size: tuple[float, float], turned: bool, mirrored: bool) -> bytes:
-    """The PDF operators that draw a page. Coordinates are in points from the lower left corner."""
+    """Return the PDF operators that draw a page. Coordinates are in points from the lower left corner."""
     width, height = (1e3 * side for side in board.size_m)
     rectangles = 1e3 * ink_rectangles(board)
     ground = np.array([[0.0, 0.0, width, height]])
@@ -112,7 +112,7 @@ def _rectangle(edges_mm: Array) -> str:
 
 
 def _document(size: tuple[float, float], contents: list[bytes]) -> bytes:
-    """A PDF file with one page for each item of ``contents``."""
+    """Return a PDF file with one page for each item of ``contents``."""
     box = f"[0 0 {size[0] * POINTS_PER_MM:.4f} {size[1] * POINTS_PER_MM:.4f}]"
     pages = [4 + 2 * number for number in range(len(contents))]
     objects = [

@@ -21,17 +21,14 @@ CELLS = (8, 6)
 FEW_VIEWS = 15
 LOW_COVERAGE = 0.5
 MIN_TILT_DEGREES = 20.0
-"""In at least a tenth of the views, the board should be tilted against the image plane by more than this angle.
-
-In frontal views, a longer focal length looks almost the same as a smaller distance.
-"""
+"""In at least a tenth of the views, the board should be tilted against the image plane by more than this angle, because
+in frontal views a longer focal length looks almost the same as a smaller distance."""
 MAX_FOCAL_STD = 0.005
-"""Maximum standard deviation of the focal length without a warning, as a share of the focal length."""
+"""Maximum standard deviation of the focal length without a warning, as a fraction of the focal length."""
 MAX_CENTRE_STD_DEGREES = 0.3
 """Maximum standard deviation of the viewing direction without a warning.
 
-The standard deviation of the viewing direction is computed as the standard deviation of the principal point, divided by
-the focal length.
+This standard deviation is computed as that of the principal point divided by the focal length.
 """
 MAX_ROTATION_STD_DEGREES = 0.2
 FEW_SHARED_FRAMES = 10
@@ -51,10 +48,10 @@ class CameraReport:
         fit_px: root mean square error on the frames of the fit, in pixels.
         held_out_px: root mean square error on held-out frames, in pixels, or None if there are no held-out frames.
         median_px: median error over all frames, in pixels.
-        coverage: share of the image's cells in which corners were seen.
+        coverage: fraction of the image's cells in which corners were seen.
         max_tilt_degrees: 90th percentile of the angle between the board's normal and the viewing direction.
         focal_px: focal lengths fx and fy.
-        focal_std: standard deviation of fx as a share of fx; 0 for a known lens.
+        focal_std: standard deviation of fx as a fraction of fx; 0 for a known lens.
         centre_std_px: standard deviations of the principal point; 0 for a known lens.
         rotation_std_degrees: standard deviation of the orientation relative to the first camera.
         position_std_m: standard deviation of the position relative to the first camera.
@@ -79,7 +76,7 @@ class CameraReport:
     warnings: tuple[str, ...]
 
     def line(self) -> str:
-        """The report in one line."""
+        """Format the report as one line."""
         kept = "no held-out frames" if self.held_out_px is None else f"{self.held_out_px:.2f} px on held-out frames"
         return (
             f"{self.name}: {self.fit_px:.2f} px rms, {kept}; {self.corners} corners in {self.views} frames cover "
@@ -96,7 +93,7 @@ def report_cameras(fit: RigFit, names: Sequence[str]) -> list[CameraReport]:
 def report_content(
     fit: RigFit, names: Sequence[str], cameras: Sequence[CameraReport], fps: float | None
 ) -> dict[str, Any]:
-    """The content of report.json, apart from the board and the settings.
+    """Return the content of report.json, apart from the board and the settings.
 
     ``fps`` is the rate of the frames, if it is known.
     """
@@ -118,7 +115,8 @@ def report_content(
 
 
 def time_lines(fit: RigFit, names: Sequence[str], fps: float | None) -> list[str]:
-    """Estimated delays and readouts of the cameras, and estimated thickness of the board, one line each."""
+    """Return the estimated delays and readouts of the cameras, and the estimated thickness of the board, one line
+    each."""
     lines = []
     if fit.timing is not None:
         unit, factor = ("frames", 1.0) if fps is None else ("ms", 1000 / fps)
@@ -132,7 +130,7 @@ def time_lines(fit: RigFit, names: Sequence[str], fps: float | None) -> list[str
 
 
 def _timing_content(timing: Timing, names: Sequence[str], fps: float | None) -> dict[str, Any]:
-    """Delays and readouts by camera."""
+    """Return the delays and readouts by camera."""
     content = {}
     for name, delay, readout in zip(names, timing.delay.tolist(), timing.readout.tolist(), strict=True):
         content[name] = {"delay_frames": round(delay, 4), "readout_frames": round(readout, 4)}
@@ -142,7 +140,7 @@ def _timing_content(timing: Timing, names: Sequence[str], fps: float | None) -> 
 
 
 def coverage(pixels: Array, width: int, height: int) -> float:
-    """Share of the image's 8 x 6 cells that contain at least one of the pixels (N, 2)."""
+    """Return the fraction of the image's 8 x 6 cells that contain at least one of the pixels (N, 2)."""
     cells = np.floor(pixels / (width, height) * CELLS).astype(int)
     inside = ((cells >= 0) & (cells < CELLS)).all(axis=1)
     return len(np.unique(cells[inside], axis=0)) / (CELLS[0] * CELLS[1])
@@ -214,7 +212,7 @@ def _warnings(report: CameraReport, shared: Sequence[int]) -> list[str]:
 
 
 def _tilts(fit: RigFit, camera: Camera, boards: NDArray[np.intp]) -> Array:
-    """Angles (M,) in degrees between the board's normal and the camera's viewing direction."""
+    """Return the angles (M,) in degrees between the board's normal and the camera's viewing direction."""
     normals = fit.boards.rotation[boards][:, :, 2]
     return np.degrees(np.arccos(np.clip(np.abs(normals @ camera.forward), 0, 1)))
 
@@ -224,7 +222,7 @@ def _baseline(fit: RigFit, pair: CameraPair) -> float:
 
 
 def _rounded(camera: CameraReport) -> dict[str, Any]:
-    """The report as JSON values, rounded to five decimals."""
+    """Return the report as JSON values, rounded to five decimals."""
 
     def convert(value: Any) -> Any:
         if isinstance(value, tuple):

@@ -21,7 +21,7 @@ MIN_HALF_PX = 2.0
 """Minimum distance from the centre of the patch to its edge, in pixels. Smaller patches have too few pixels."""
 MAX_STEPS = 8
 MAX_STEP = 0.5
-"""Longest step, as a share of half the side length of the patch."""
+"""Longest step, as a fraction of half the side length of the patch."""
 MAX_MOVE_PX = 3.0
 """Maximum distance by which a corner may move. Beyond this distance, the search has found another saddle point."""
 CONVERGED_PX = 1e-3
@@ -67,8 +67,9 @@ def refine_corners(grey: Grey, flat: Array, pixels: Array, half: float) -> tuple
 
 
 def _patch_axes(flat: Array, pixels: Array, half: float) -> Array | None:
-    """(N, 2, 2): for each corner, a matrix whose columns are the vectors, in pixels, from the centre of the patch to
-    the midpoints of two adjacent edges. Returns None if no homography fits the corners."""
+    """Return one matrix (2, 2) per corner, as an array (N, 2, 2). Its columns are the vectors, in pixels, from the
+    centre of the corner's patch to the midpoints of two adjacent edges. Returns None if no homography fits the
+    corners."""
     homography, _ = cv2.findHomography(flat, pixels, cv2.LMEDS)
     if homography is None:
         return None

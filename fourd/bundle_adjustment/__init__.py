@@ -1,1 +1,1 @@
-"""Bundle adjustment of given cameras, from feature matches between images. Bundle adjustment runs before carving."""
+"""Bundle adjustment of given cameras from feature matches between images, which runs before the scene is carved."""

@@ -1,7 +1,7 @@
 """Correction of given cameras by bundle adjustment with feature matches.
 
-After features were matched, bundle adjustment runs three times. Each run uses only matches near their epipolar lines.
-The maximum distance of a match from its epipolar lines decreases from run to run.
+Bundle adjustment runs three times on the same matches. Each run uses only matches near their epipolar lines, and the
+maximum distance from these lines decreases from run to run.
 """
 
 from __future__ import annotations
@@ -70,9 +70,9 @@ def adjust_cameras(capture: MaskSource, cameras: Sequence[int], prior: Prior, ba
     Args:
         capture: undistorted images and an approximate calibration.
         cameras: indices of the cameras to be adjusted.
-        prior: standard deviations of errors in the given calibration.
-        band: maximum distance of a match from the epipolar lines of the given cameras, as a share of the longer side of
-            an image.
+        prior: standard deviations of the errors in the given calibration.
+        band: maximum distance of a match from the epipolar lines of the given cameras, as a fraction of the longer
+            image side.
         track: callback that reports progress.
 
     Returns:

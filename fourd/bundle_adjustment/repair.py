@@ -1,9 +1,9 @@
 """Repair of a given calibration. Corrections are kept only if they reduce the residuals of held-out matches.
 
-The cameras are fitted to the matches of two thirds of the feature tracks. The matches of the other tracks are held out.
-The residuals of the held-out matches determine whether a correction is kept. The first correction mirrors principal
-points (see :mod:`fourd.calibration.principal_points`). Three bundle adjustments follow. The first changes only poses,
-the second also focal lengths, and the third also principal points.
+The cameras are fitted to the matches of two thirds of the feature tracks. The matches of the other tracks are held out:
+their residuals determine whether a correction is kept. The first correction mirrors principal points (see
+:mod:`fourd.calibration.principal_points`). Three bundle adjustments follow. The first changes only poses, the second
+also focal lengths, and the third also principal points.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ MIN_GAIN = 0.9
 multiple of the median residual before the correction."""
 MIN_GAIN_PX = 0.1
 """A correction is kept only if it decreases the median residual of the held-out matches by at least this number of
-pixels. Corrections of a good calibration follow the noise of the matches, and decrease the median by up to 0.04
-pixels."""
+pixels. Even if a calibration is good, a correction decreases this median by up to 0.04 pixels, because it follows the
+noise of the matches."""
 BAND = 0.03
-"""Maximum distance of a match from its epipolar line, as a share of the longer image side."""
+"""Maximum distance of a match from its epipolar line, as a fraction of the longer image side."""
 ROTATION_DEG, POSITION, FOCAL, PRINCIPAL = 1.0, 0.01, 0.01, 0.01
-"""Assumed standard deviations of the errors in the given calibration. ROTATION_DEG is in degrees. POSITION is a share
-of the distance between the camera and the scene's centre. FOCAL is a share of the given focal length. PRINCIPAL is a
-share of the longer image side."""
+"""Assumed standard deviations of the errors in the given calibration. ROTATION_DEG is in degrees. POSITION is a
+fraction of the distance between the camera and the scene's centre, FOCAL of the given focal length, and PRINCIPAL of
+the longer image side."""
 DISTORTION_ROUNDS = 3
 """Number of rounds of a bundle adjustment that changes intrinsics. Each round undistorts the matches with the latest
 intrinsics."""
@@ -125,9 +125,9 @@ def repair_cameras(cameras: Sequence[Camera], matches: Mapping[Pair, Matches]) -
 
 
 def split_matches(matches: Mapping[Pair, Matches], cameras: int) -> tuple[dict[Pair, Matches], dict[Pair, Matches]]:
-    """Split matches into matches for the fit and held-out matches.
+    """Split the matches into those for the fit and the held-out ones.
 
-    No feature belongs to both parts. A match between tracks of different parts belongs to neither part.
+    No feature belongs to both sets. A match between a track for the fit and a held-out track belongs to neither set.
     """
     _, rows = _index_features(matches, cameras)
     tracks = _label_tracks(rows)
@@ -144,7 +144,7 @@ def split_matches(matches: Mapping[Pair, Matches], cameras: int) -> tuple[dict[P
 
 
 def _label_tracks(rows: Mapping[Pair, NDArray[np.intp]]) -> dict[Feature, int]:
-    """The index of each feature's track.
+    """Return the index of each feature's track.
 
     A camera sees each point at most once, so a match joins two tracks only if no camera is in both tracks. Without this
     rule, a few wrong matches would join all tracks.
@@ -192,7 +192,7 @@ def _adjust(
 
 
 def _undistorted_frame(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> FrameMatches:
-    """Convert the matches to features. The features are undistorted with the distortion of ``cameras``."""
+    """Convert the matches to features, which are undistorted with the distortion of ``cameras``."""
     frame, rows = _index_features(matches, len(cameras))
     features = tuple(
         Features(undistort_points(camera, each.xy), each.descriptors)

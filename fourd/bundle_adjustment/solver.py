@@ -2,7 +2,7 @@
 
 The solver uses the Levenberg-Marquardt algorithm. The points are eliminated with the Schur complement (Triggs et al.,
 Bundle Adjustment - a Modern Synthesis, 2000, sec. 6.1). The cost is the sum of two terms: the reprojection error with a
-Cauchy loss, and a Gaussian prior on the correction of each camera. The prior fixes the gauge. Without a prior, the cost
+Cauchy loss, and a Gaussian prior on the correction of each camera. The prior fixes the gauge: without it, the cost
 would not change if all cameras and points were rotated, translated or scaled together.
 """
 
@@ -28,25 +28,23 @@ PARAMETERS = 9
 """Number of parameters per camera."""
 MAX_STEPS = 40
 MIN_RELATIVE_DECREASE = 1e-5
-"""The solver stops when a step decreases the cost by less than this share of the cost."""
+"""The solver stops when a step decreases the cost by less than this fraction of the cost."""
 DAMPING = 1e-3
 """Initial damping factor of the Levenberg-Marquardt algorithm."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Standard deviations of errors in the given cameras' parameters and in the positions of features.
+    """Standard deviations of the errors in the given cameras' parameters and in the feature positions.
 
     Attributes:
-        rotation: standard deviation of rotations in radians. With 0, all rotations are fixed.
-        position: (V,) standard deviation, in world units, of the position of each camera. With 0, all positions are
-            fixed.
-        focal: standard deviation of the logarithm of the focal length. With 0, all focal lengths are fixed.
-        pixel: standard deviation of the position of a feature in pixels. The measured standard deviation is a third of
-            a pixel. The default is larger than the measured value, because the errors of features on the same surface
-            are correlated. With a smaller value, the adjustment fits the correlated errors and deforms rings of
-            cameras.
-        principal_px: standard deviation of the principal point in pixels. With 0, all principal points are fixed.
+        rotation: standard deviation of rotations in radians; 0 fixes all rotations.
+        position: (V,) standard deviation, in world units, of the position of each camera; 0 fixes all positions.
+        focal: standard deviation of the logarithm of the focal length; 0 fixes all focal lengths.
+        pixel: standard deviation of a feature's position in pixels. The default is larger than the measured value of a
+            third of a pixel, because the errors of features on the same surface are correlated. With a smaller value,
+            the adjustment fits these correlated errors and deforms rings of cameras.
+        principal_px: standard deviation of the principal point in pixels; 0 fixes all principal points.
     """
 
     rotation: float
@@ -72,7 +70,7 @@ def solve(
         start: initial cameras.
         tracks: observed features.
         xyz: (P, 3) initial positions of the points in world coordinates.
-        prior: standard deviations of errors in the given calibration.
+        prior: standard deviations of the errors in the given calibration.
         scale_px: scale of the Cauchy loss in pixels.
 
     Returns:
@@ -97,7 +95,7 @@ def solve(
 
 
 def reprojection_errors_px(tracks: Observations, cameras: Sequence[Camera], xyz: Array) -> Array:
-    """Reprojection error (M,), in pixels, of each feature. The error is infinite for points behind the camera."""
+    """Return the reprojection error (M,), in pixels, of each feature, or infinity for points behind the camera."""
     residual, in_camera = _residuals(_State(tuple(cameras), xyz), tracks)
     return np.where(in_camera[:, 2] > 0, np.linalg.norm(residual, axis=1), np.inf)
 
@@ -173,7 +171,7 @@ def _sparse_blocks(
 
 
 def _residuals(state: _State, tracks: Observations) -> tuple[Array, Array]:
-    """Residuals (M, 2) in pixels (projection minus feature), and the points (M, 3) of the features in camera
+    """Return the residuals (M, 2) in pixels (projection minus feature), and the points (M, 3) of the features in camera
     coordinates."""
     rotation, centre, k = (
         np.stack([getattr(camera, name) for camera in state.cameras])[tracks.camera]
@@ -186,8 +184,8 @@ def _residuals(state: _State, tracks: Observations) -> tuple[Array, Array]:
 
 
 def _jacobians(state: _State, tracks: Observations, in_camera: Array) -> tuple[Array, Array]:
-    """Jacobians of the projections: an (M, 2, 9) array for the cameras' parameters, and an (M, 2, 3) array for the
-    points' positions."""
+    """Return the Jacobians of the projections: an (M, 2, 9) array for the cameras' parameters, and an (M, 2, 3) array
+    for the points' positions."""
     k, rotation = (
         np.stack([getattr(camera, name) for camera in state.cameras])[tracks.camera]
         for name in ("intrinsics", "rotation")
@@ -218,7 +216,8 @@ def _update_camera(camera: Camera, change: Array) -> Camera:
 
 
 def _corrections(cameras: Sequence[Camera], given: Sequence[Camera]) -> Array:
-    """Differences (V, 9): the parameters of ``cameras`` minus the parameters of the uncorrected cameras ``given``."""
+    """Return the differences (V, 9): the parameters of ``cameras`` minus the parameters of the uncorrected cameras
+    ``given``."""
     rows = []
     for camera, before in zip(cameras, given, strict=True):
         rotation = cv2.Rodrigues(camera.rotation @ before.rotation.T)[0].ravel()
@@ -229,7 +228,7 @@ def _corrections(cameras: Sequence[Camera], given: Sequence[Camera]) -> Array:
 
 
 def _prior_precision(prior: Prior, views: int) -> Array:
-    """Inverse variances (V, 9) of the prior.
+    """Return the inverse variances (V, 9) of the prior.
 
     For fixed parameters, the inverse variance is 1, because 0 would make the normal equations singular.
     """
@@ -243,7 +242,7 @@ def _prior_precision(prior: Prior, views: int) -> Array:
 
 
 def _free(prior: Prior) -> NDArray[np.bool_]:
-    """Mask (9,) of the camera parameters that are optimised."""
+    """Return the mask (9,) of the camera parameters that are optimised."""
     free = np.zeros(PARAMETERS, bool)
     free[ROTATION], free[POSITION] = prior.rotation > 0, bool((prior.position > 0).all())
     free[LOG_FOCAL], free[PRINCIPAL] = prior.focal > 0, prior.principal_px > 0
@@ -251,7 +250,7 @@ def _free(prior: Prior) -> NDArray[np.bool_]:
 
 
 def _weights(residual: Array, in_camera: Array, prior: Prior, scale_px: float) -> Array:
-    """Weight (M,) of each squared error: the Cauchy weight divided by the square of ``Prior.pixel``. The weight is 0
+    """Return the weight (M,) of each squared error: the Cauchy weight divided by the square of ``Prior.pixel``, or 0
     for points behind the camera."""
     weight = 1 / (1 + np.square(residual).sum(axis=1) / scale_px**2) / prior.pixel**2
     return np.where(in_camera[:, 2] > 1e-6, weight, 0)

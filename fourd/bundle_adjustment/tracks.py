@@ -46,7 +46,7 @@ class Observations:
 
     def select(self, rows: NDArray[np.bool_]) -> Observations:
         """Select the features in ``rows`` (M,) bool. Then drop points with fewer than two features, and renumber the
-        other points."""
+        others."""
         camera, point, pixel = self.camera[rows], self.point[rows], self.pixel[rows]
         enough = np.bincount(point, minlength=self.points) >= 2
         return Observations(camera, point, pixel).of_points(enough)
@@ -84,7 +84,7 @@ def build_tracks(frames: Sequence[FrameMatches], cameras: Sequence[Camera], band
 
 
 def _frame_tracks(frame: FrameMatches, cameras: Sequence[Camera], band_px: float) -> Observations:
-    """Build the tracks of one frame. The tracks are the connected components of the graph of matches."""
+    """Build the tracks of one frame: the connected components of the graph of matches."""
     features = frame.features
     counts = [len(each.xy) for each in features]
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
@@ -98,16 +98,16 @@ def _frame_tracks(frame: FrameMatches, cameras: Sequence[Camera], band_px: float
     graph = coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(total, total))
     _, label = connected_components(graph, directed=False)
     camera = np.repeat(np.arange(len(features)), counts)
-    # A wrong match merges the tracks of two points. The merged track has two features in each camera that sees both
-    # points.
+    # A wrong match merges the tracks of two points. In each camera that sees both points, the merged track has two
+    # features, which are dropped.
     _, inverse, occurrences = np.unique(label * len(features) + camera, return_inverse=True, return_counts=True)
     xy = np.concatenate([each.xy for each in features])
     return Observations(camera, label.astype(np.intp), xy).select(occurrences[inverse] == 1)
 
 
 def _epipolar_distances(first_xy: Array, second_xy: Array, camera: Camera, other: Camera) -> Array:
-    """Distance (M,), in pixels, of each match from its epipolar lines: the larger of the distances in the two
-    images."""
+    """Return the distance (M,), in pixels, of each match from its epipolar lines: the larger of the distances in the
+    two images."""
     first, second = (np.column_stack([xy, np.ones(len(xy))]) for xy in (first_xy, second_xy))
     matrix = fundamental_matrix(camera, other)
     second_lines, first_lines = first @ matrix.T, second @ matrix
@@ -131,8 +131,8 @@ def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple
     np.add.at(right, tracks.point, np.einsum("mij,mj->mi", projectors, origins))
     sums = np.zeros((tracks.points, 3))
     np.add.at(sums, tracks.point, rays)
-    # The length of the mean of unit vectors decreases as the angles between the vectors increase. For two vectors, the
-    # length of the mean is cos(angle / 2).
+    # The angle that a track's rays span is measured by the length of the mean of their unit vectors, which is cos(angle
+    # / 2) for two rays.
     count = np.bincount(tracks.point, minlength=tracks.points)
     mean_length = np.linalg.norm(sums, axis=1) / np.maximum(count, 1)
     is_wide = mean_length < np.cos(np.radians(MIN_ANGLE_DEG) / 2)
@@ -141,7 +141,7 @@ def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple
 
 
 def _ray_directions(tracks: Observations, cameras: Sequence[Camera]) -> Array:
-    """Unit vectors (M, 3) in world coordinates along the viewing rays of the features."""
+    """Return the unit vectors (M, 3) in world coordinates along the viewing rays of the features."""
     R_world_pixel = np.stack([camera.rotation.T @ np.linalg.inv(camera.intrinsics) for camera in cameras])
     pixels = np.column_stack([tracks.pixel, np.ones(len(tracks.pixel))])
     rays = np.einsum("mij,mj->mi", R_world_pixel[tracks.camera], pixels)

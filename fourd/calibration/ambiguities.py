@@ -1,4 +1,4 @@
-"""Detection of calibration errors from the images: images that were resized, and mirrored principal points."""
+"""Detection of two calibration errors from the images: resized images, and mirrored principal points."""
 
 from __future__ import annotations
 
@@ -149,8 +149,8 @@ class _SizeResolver:
         matches = match_cameras(self.pictures_by_frame, guess.cameras, self.track)
         choice = choose_size(matches, self.cameras, self.sizes, borders)
         if not choice.is_clear and self.checks_principal_points:
-            # Mirrored principal points can increase the residuals more than a wrong size hypothesis does. The
-            # hypotheses are therefore compared again with corrected principal points.
+            # Mirrored principal points can increase the residuals more than a wrong size hypothesis does, so the
+            # hypotheses are compared again with corrected principal points.
             mirrors = _choose_mirrors(matches, choice.cameras)
             if mirrors is not None and mirrors.is_clear:
                 corrected = [

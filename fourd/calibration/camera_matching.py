@@ -20,8 +20,8 @@ Picture = NDArray[np.uint8]
 MIN_FEATURE_MATCHES = 20
 """Minimum number of feature matches of a camera pair.
 
-The minimum excludes wrong matches between distant cameras. In one capture, repeated patterns gave 8 wrong matches that
-all fit one homography.
+It excludes wrong matches between distant cameras. In one capture, repeated patterns gave 8 wrong matches that all fit
+one homography.
 """
 NO_MATCHES = Matches(np.zeros((0, 2)), np.zeros((0, 2)))
 GROUND_HEIGHTS_M = (0.0, -0.02, 0.02)
@@ -31,8 +31,8 @@ Ground matching tries the planes in this order until there are enough matches.
 """
 GROUND_HALF_SIDE_M = 2.5
 METRIC_DISTANCES_M = (0.5, 50.0)
-"""Smallest and largest plausible distance, in metres, between two cameras. If a distance is outside this range, the
-unit of the world is assumed not to be metres."""
+"""Smallest and largest plausible distance, in metres, between two cameras. If a distance is out of this range, the
+world is assumed not to be in metres."""
 MIN_UPRIGHT = 0.5
 """Minimum mean z component of the cameras' up directions in a world with z up."""
 MAX_RASTER_PX = 2000
@@ -43,11 +43,11 @@ def match_cameras(
 ) -> dict[Pair, Matches]:
     """Match pairs of cameras over all given frames.
 
-    Features are matched first. Camera pairs with fewer than 20 feature matches are treated as unmatched. Wide baselines
-    can leave a camera with fewer than two matched pairs. All pairs of such a camera are also matched on the ground if
-    the world is in metres with z up. The ground patches lie at z = 0, in a 5 m square that is centred below the point
-    that the cameras face. If the plane z = 0 gives too few matches, the planes 2 cm below and above are also tried. A
-    pair with both feature matches and ground matches keeps the larger set.
+    Features are matched first. Camera pairs with fewer than 20 feature matches are treated as unmatched. If wide
+    baselines leave a camera with fewer than two matched pairs, all its pairs are also matched on the ground, provided
+    that the world is in metres with z up. The ground patches lie at z = 0, in a 5 m square that is centred below the
+    point that the cameras face. If the plane z = 0 gives too few matches, the planes 2 cm below and above are also
+    tried. A pair with both feature matches and ground matches keeps the larger set.
 
     Args:
         pictures_by_frame: for each frame, one RGB image (H, W, 3) per camera, of the camera's size.
@@ -99,7 +99,7 @@ def _append(matches: dict[Pair, Matches], more: Mapping[Pair, Matches]) -> None:
 
 
 def _ground_patches(cameras: Sequence[Camera]) -> list[PlanePatch]:
-    """Squares on the ground below the cameras' focus; none if the world is not in metres with z up."""
+    """Return squares on the ground below the cameras' focus; none if the world is not in metres with z up."""
     distances = [float(np.linalg.norm(a.centre - b.centre)) for a, b in combinations(cameras, 2)]
     up = float(np.mean([-camera.rotation[1, 2] for camera in cameras]))
     focus = find_focus(list(cameras))

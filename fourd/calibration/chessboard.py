@@ -95,7 +95,7 @@ def find_corners(grey: Picture, columns: int, rows: int) -> Array | None:
 
 
 def _is_first_square_bright(grey: Picture, corners: Array) -> bool:
-    """Whether the square at the first corner is brighter than the next square along x.
+    """Return whether the square at the first corner is brighter than the next square along x.
 
     ``corners`` has shape (rows, columns, 2).
     """

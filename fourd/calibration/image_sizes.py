@@ -36,7 +36,7 @@ class Borders:
     bottom: float
 
     def max_difference(self, other: Borders) -> float:
-        """The largest difference in pixels between the two images' borders on the same side."""
+        """Return the largest difference in pixels between the two images' borders on the same side."""
         pairs = ((self.left, other.left), (self.top, other.top), (self.right, other.right), (self.bottom, other.bottom))
         return max(abs(a - b) for a, b in pairs)
 
@@ -67,7 +67,8 @@ class SizeChoice:
 
 
 def size_hypotheses(camera: Camera, width: int, height: int) -> dict[str, Camera]:
-    """Cameras of images resized to ``width`` x ``height`` pixels, one per hypothesis of how they were resized.
+    """Return the cameras of images resized to ``width`` x ``height`` pixels, one per hypothesis of how they were
+    resized.
 
     ``camera`` is the camera before resizing.
 
@@ -81,7 +82,7 @@ def size_hypotheses(camera: Camera, width: int, height: int) -> dict[str, Camera
     - ``cropped centre``: the image is cropped equally on opposite sides and not scaled.
 
     The cropped hypotheses are omitted if the new image is wider or higher than the old image. All hypotheses keep the
-    distortion coefficients, because the coefficients apply to coordinates divided by the focal length.
+    distortion coefficients, because these apply to coordinates divided by the focal length.
     """
     if (width, height) == (camera.width, camera.height):
         return {"unchanged": camera}
@@ -117,8 +118,8 @@ def _scale_about_centre(camera: Camera, width: int, height: int, scale: float) -
 def measure_black_borders(pictures: Sequence[Picture]) -> Borders:
     """Measure the black borders of one camera's distorted images (H, W, 3) uint8.
 
-    The mean over several frames gives more exact borders than one frame. If a border ends within a pixel, the black
-    fraction of the pixel is estimated from the brightness of the next rows. If the scene is dark along a side, the
+    The mean over several frames gives more exact borders than one frame. If a border ends inside a pixel, the black
+    fraction of that pixel is estimated from the brightness of the next rows. If the scene is dark along a side, the
     measured border is 0 or too wide.
     """
     grey = np.mean([picture.mean(axis=2) for picture in pictures], axis=0)
@@ -128,7 +129,7 @@ def measure_black_borders(pictures: Sequence[Picture]) -> Borders:
 
 
 def _border_width(rows: Array) -> float:
-    """Width, in pixels, of the black border before the first row of content. The width may be fractional."""
+    """Return the (fractional) width, in pixels, of the black border before the first row of content."""
     bright = np.percentile(rows[: len(rows) // 4], 95, axis=1) >= BLACK_LEVEL
     if bright[0] or not bright.any():
         return 0.0
@@ -139,8 +140,8 @@ def _border_width(rows: Array) -> float:
     if content - floor < 1:
         return 0.0
     share = np.clip((level[: first + 2] - floor) / (content - floor), 0, 1)
-    # Only the last black row can contain a part of the picture. Brightness in the other black rows is a ringing
-    # artefact of the codec.
+    # Only the last black row can contain a part of the image. Brightness in the other black rows is a ringing artefact
+    # of the codec.
     share[: max(first - 1, 0)] = 0
     return float((1 - share).sum())
 
@@ -156,9 +157,9 @@ def choose_size(
     Each hypothesis is one method of resizing, see :func:`size_hypotheses`. A hypothesis is excluded if a black border
     that it predicts differs by more than :data:`MAX_BORDER_ERROR_PX` from the measured border. If no hypothesis fits
     the measured borders, none is excluded. The function chooses the remaining hypothesis with the smallest epipolar
-    residual. The evidence is clear if an image has a black border of at least 2 pixels, and only one hypothesis fits
-    the borders. The evidence is also clear if the smallest residual is at most 3 pixels, and the residuals of all other
-    remaining hypotheses are at least 1.5 times as large.
+    residual. The evidence is clear if an image has a black border of at least 2 pixels and only one hypothesis fits the
+    borders. It is also clear if the smallest residual is at most 3 pixels and the residuals of all other remaining
+    hypotheses are at least 1.5 times as large.
 
     Args:
         matches: matches of each camera pair in pixels of the distorted images; the matches of all frames are

@@ -1,7 +1,7 @@
 """Feature matches between two images, verified by two-view geometry.
 
 Verification does not use camera poses. Instead, homographies and a fundamental matrix are fitted to the matches. The
-inliers of a model are kept if there are more inliers than random matches would give.
+inliers of a model are kept if there are more of them than random matches would give.
 """
 
 from __future__ import annotations
@@ -96,8 +96,8 @@ def match_features(first: Features, second: Features, ratio: float = 0.8) -> Mat
 def verify_matches(matches: Matches, first: Camera, second: Camera, tolerance_px: float = TOLERANCE_PX) -> Matches:
     """Keep the matches that fit a common two-view geometry (see :func:`inlier_mask`).
 
-    Points are undistorted with the cameras' intrinsics and distortion. The cameras' poses are not used. No matches are
-    kept if no geometry has significantly more inliers than random matches would give.
+    Points are undistorted with the cameras' intrinsics and distortion; the poses are not used. No matches are kept if
+    no geometry has significantly more inliers than random matches would give.
     """
     straight = Matches(undistort_points(first, matches.first_px), undistort_points(second, matches.second_px))
     kept = inlier_mask(straight, second.width, second.height, tolerance_px)
@@ -105,14 +105,15 @@ def verify_matches(matches: Matches, first: Camera, second: Camera, tolerance_px
 
 
 def inlier_mask(matches: Matches, width: int, height: int, tolerance_px: float = TOLERANCE_PX) -> NDArray[np.bool_]:
-    """Mask (M,) of the undistorted matches that fit a common two-view geometry; all False if none is accepted.
+    """Return the mask (M,) of the undistorted matches that fit a common two-view geometry; all False if none is
+    accepted.
 
     Up to 3 homographies are fitted first, then a fundamental matrix. Each model is fitted with MAGSAC (Barath et al.,
     CVPR 2020). A model is accepted if random matches are unlikely to give as many inliers (a contrario test, Moisan and
     Stival, IJCV 2004).
 
     Matches of points on one plane do not determine the fundamental matrix. For any two further matches, a fundamental
-    matrix exists that fits both matches and all matches on the plane. If a homography was accepted, the test of the
+    matrix exists that fits both of them and all matches on the plane. If a homography was accepted, the test of the
     fundamental matrix therefore ignores the matches on planes. In addition, two of the inliers outside the planes are
     not counted as evidence.
 
@@ -155,7 +156,7 @@ def _fit_inliers(matches: Matches, which: NDArray[np.intp], tolerance_px: float,
 
 
 def _beats_chance(count: int, inliers: int, sample_size: int, probability: float) -> bool:
-    """Whether random matches are unlikely to give a model with ``inliers`` inliers among ``count`` matches.
+    """Return whether random matches are unlikely to give a model with ``inliers`` inliers among ``count`` matches.
 
     The ``sample_size`` matches that define a model always fit the model. ``probability`` is the probability that a
     random match fits the model.

@@ -2,8 +2,8 @@
 
 The calibration is used to rectify both images to the plane. Each small patch of one rectified image is then matched to
 the most similar patch of the other rectified image, near the position that the calibration predicts. The calibration
-affects only the appearance of a patch and the centre of its search. Errors of the calibration therefore show in the
-positions of the matches.
+affects only a patch's appearance and the centre of its search region, so calibration errors show in the positions of
+the matches.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ MIN_DROP = 0.03
 """Minimum decrease of the correlation from its peak to each of the eight positions at offsets of 3 pixels along x, y or
 both axes.
 
-The minimum rejects patches on a straight edge, because their correlation stays high along the edge.
+This rejects patches on a straight edge, because their correlation stays high along the edge.
 """
 MIN_CONTRAST = 6.0
 
@@ -60,7 +60,8 @@ class PlanePatch:
         return round(self.width * self.resolution), round(self.height * self.resolution)
 
     def to_picture(self, camera: Camera) -> Array:
-        """Homography (3, 3) from raster pixels to pixels of the undistorted image; pixel corners are at integers."""
+        """Return the homography (3, 3) from raster pixels to pixels of the undistorted image; pixel corners are at
+        integers."""
         K, R_camera_world = camera.intrinsics, camera.rotation
         step = 1 / self.resolution
         origin = R_camera_world @ self.corner + camera.translation
@@ -163,7 +164,7 @@ def _search(
 
 
 def _parabola_peak(values: NDArray[Any]) -> float:
-    """Position of the maximum of the parabola through three ``values`` at -1, 0 and 1."""
+    """Return the position of the maximum of the parabola through three ``values`` at -1, 0 and 1."""
     left, middle, right = (float(value) for value in values)
     curvature = left - 2 * middle + right
     return 0.5 * (left - right) / curvature if curvature < 0 else 0.0

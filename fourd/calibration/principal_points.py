@@ -1,7 +1,7 @@
 """Detection of principal points that are mirrored about the image centre.
 
 Programs that rotate a calibration by 90 degrees can mirror the principal point. A rotation by 90 degrees swaps the
-image's axes and reverses one axis. If a program swaps the principal point's coordinates but reverses neither, the
+image's axes and reverses one of them. If a program swaps the principal point's coordinates but reverses neither, the
 principal point is mirrored along one axis. Focal lengths and poses are still correct. The error of the principal point
 is twice its distance from the image centre along the mirrored axis, often 10 pixels or more.
 """
@@ -23,13 +23,13 @@ MAX_COMBINATIONS = 1024
 MAX_GOOD_PX = 3.0
 MAX_PAIR_PX = 30.0
 """Upper limit, in pixels, to which the residual of a camera pair is clamped. A larger residual means that the pair's
-matches are wrong, and such a residual changes at random with the principal points."""
+matches are wrong, so it does not show which principal points are correct."""
 MIN_GAIN = 2.0
-"""Mirrored principal points must decrease the mean residual by at least this multiple of the typical residual, which is
-the median over the camera pairs of their residuals with the chosen principal points."""
+"""Minimum amount by which mirrored principal points must decrease the mean residual, as a multiple of the typical
+residual. This is the median, over the camera pairs, of their residuals with the chosen principal points."""
 MIN_LEAD = 0.5
-"""The residual of the second best combination must exceed the residual of the best combination by at least this
-multiple of the typical residual."""
+"""Minimum amount by which the residual of the second best combination must exceed that of the best, as a multiple of
+the typical residual."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +45,12 @@ class MirrorChoice:
             clamped at MAX_PAIR_PX.
         chosen_px: the same mean as ``given_px``, but with the chosen combination.
         next_px: the same mean, but with the second best combination.
-        given_score: median residual, and share of matches within 3 pixels, with the given calibration.
+        given_score: median residual, and fraction of matches within 3 pixels, with the given calibration.
         chosen_score: the same values as ``given_score``, but with the chosen combination.
-        is_clear: whether the evidence is clear. Each camera pair has a median residual with the chosen combination. Let
-            r be the median of these residuals. Clear evidence requires that r is at most 3, and that ``next_px``
-            exceeds ``chosen_px`` by at least 0.5 * r. If a principal point is mirrored, ``given_px`` must also exceed
-            ``chosen_px`` by at least 2 * r. Differences are compared instead of ratios, because a pair of cameras with
+        is_clear: whether the evidence is clear. Let r be the median, over the camera pairs, of their median residuals
+            with the chosen combination. Clear evidence requires that r is at most 3, and that ``next_px`` exceeds
+            ``chosen_px`` by at least 0.5 * r. If a principal point is mirrored, ``given_px`` must also exceed
+            ``chosen_px`` by at least 2 * r. Differences are compared instead of ratios, because a camera pair with
             wrong matches increases all means by the same amount.
     """
 
@@ -67,7 +67,7 @@ class MirrorChoice:
 
 
 def principal_point_hypotheses(camera: Camera) -> dict[str, Camera]:
-    """Four copies of the camera, one for each possible principal point, by hypothesis name."""
+    """Return four copies of the camera, one for each possible principal point, keyed by hypothesis name."""
     found = {}
     for name, x, y in (
         ("as given", False, False),
@@ -131,7 +131,7 @@ def _capped_mean(medians: Iterable[float]) -> float:
 def _pair_median(
     matches: Mapping[Pair, Matches], cameras: Sequence[Camera], pair: Pair, first: Camera, second: Camera
 ) -> float:
-    """Median residual of a camera pair after replacing its two cameras by ``first`` and ``second``."""
+    """Return the median residual of a camera pair after replacing its two cameras by ``first`` and ``second``."""
     changed = list(cameras)
     changed[pair[0]], changed[pair[1]] = first, second
     return compute_residuals({pair: matches[pair]}, changed).pairs[pair]

@@ -31,7 +31,7 @@ MAX_GOOD_PX = 3.0
 MAX_GOOD_RATIO = 4.0
 MIN_PAIRS = 2
 MIN_BAD_SHARE = 0.75
-"""A camera is bad if at least this share of its pairs disagrees; see :func:`find_bad_cameras`."""
+"""A camera is bad if at least this fraction of its pairs disagrees; see :func:`find_bad_cameras`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ def epipolar_residuals(
 
     Returns:
         The residuals. Wrong matches are removed without the cameras' poses
-        (:func:`fourd.calibration.matching.inlier_mask`). The residuals therefore show errors of the poses.
+        (:func:`fourd.calibration.matching.inlier_mask`), so the residuals show errors of the poses.
 
     Raises:
         ValueError: if an image does not have its camera's size.
@@ -106,7 +106,7 @@ def match_pairs(
 def select_pairs(cameras: Sequence[Camera]) -> list[Pair]:
     """Select the camera pairs (i, j), i < j, whose images are matched.
 
-    With up to 8 cameras, all pairs are matched. With more cameras, each camera is paired with the 6 cameras of smallest
+    For up to 8 cameras, all pairs are matched. For more cameras, each camera is paired with the 6 cameras of smallest
     cost. The cost is the angle between the viewing directions in radians, plus a small term for the distance between
     the camera centres.
     """
@@ -125,7 +125,7 @@ def select_pairs(cameras: Sequence[Camera]) -> list[Pair]:
 
 
 def compute_residuals(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> Residuals:
-    """Compute the epipolar residuals of matches that are given in pixels of the distorted images."""
+    """Compute the epipolar residuals of matches in pixels of the distorted images."""
     counts = {pair: len(found) for pair, found in matches.items()}
     pairs = {
         (i, j): float(np.median(np.abs(epipolar_distances(found, cameras[i], cameras[j]))))
@@ -136,9 +136,9 @@ def compute_residuals(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]
 
 
 def epipolar_distances(matches: Matches, first: Camera, second: Camera) -> Array:
-    """Signed distances (M,), in pixels, of matches from their epipolar lines, averaged over the two images.
+    """Return the signed distances (M,), in pixels, of matches from their epipolar lines, averaged over the two images.
 
-    Two cameras with the same centre have no epipolar lines, and the function then returns 0 for each match.
+    Two cameras with the same centre have no epipolar lines; for them, the function returns 0 for each match.
     """
     rotation = second.rotation @ first.rotation.T
     shift = second.translation - rotation @ first.translation
@@ -162,16 +162,15 @@ def find_bad_cameras(pairs: Mapping[Pair, float], *, max_px: float = MAX_GOOD_PX
     """Find the cameras whose pairs have large residuals, although the other cameras agree with each other.
 
     ``pairs`` contains the median residual of each camera pair. A pair disagrees if its median residual exceeds both
-    ``max_px`` and 4 times a typical residual. The typical residual is the median over the half of the pairs with the
-    smallest residuals.
+    ``max_px`` and 4 times the median over the half of the pairs with the smallest residuals.
 
     A camera is bad if it meets all of these conditions:
     - the camera belongs to at least 2 pairs;
     - at least 75% of the camera's pairs disagree;
     - among the cameras with which it disagrees, at least 2 agree with a third camera.
 
-    If there are only two cameras or all pairs disagree, the residuals do not show which camera is wrong, and no camera
-    is called bad.
+    If there are only two cameras or all pairs disagree, the residuals do not show which camera is wrong, so no camera
+    is bad.
 
     Returns:
         The indices of the bad cameras in ascending order.

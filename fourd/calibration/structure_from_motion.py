@@ -28,10 +28,10 @@ MIN_CAMERAS = 3
 SAME_FEATURE_PX = 0.75
 MAX_FEATURES = 4096
 SIFT_PEAK_THRESHOLD = 0.003
-"""Minimum peak value of SIFT features; COLMAP's default is 0.0067.
+"""Minimum peak value of SIFT features.
 
-The minimum is lower than COLMAP's default, so that weak features are kept. In a recorded ring of 20 cameras, matching
-of neighbouring cameras failed without weak features.
+It is lower than COLMAP's default of 0.0067 to keep weak features. Without them, matching of neighbouring cameras failed
+in a recorded ring of 20 cameras.
 """
 FIX = (
     "give the cameras more overlap (at most 30 degrees between neighbours), add texture to the scene, or provide a "
@@ -145,8 +145,8 @@ def _match_frame(folder: Path, pictures: list[Picture], lens_model: LensModel, i
         if not cv2.imwrite(str(images / f"{index:06d}.png"), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
             raise OSError(f"{images}: a temporary image could not be written")
     extraction = pycolmap.FeatureExtractionOptions(use_gpu=False)
-    # In a ring of 20 cameras, neighbours are 18 degrees apart. Matching across an angle of 18 degrees needs
-    # affine-invariant features.
+    # In a ring of 20 cameras, neighbours are 18 degrees apart. Matching across this angle needs affine-invariant
+    # features.
     extraction.sift.estimate_affine_shape = True
     extraction.sift.domain_size_pooling = True
     extraction.sift.peak_threshold = SIFT_PEAK_THRESHOLD
@@ -204,7 +204,7 @@ def _write_merged(database: Path, keypoints: list[Array], matches: PairMatches) 
 
 
 def _mapping_options(seed: int) -> Any:
-    """COLMAP's mapping options for a few cameras with wide baselines."""
+    """Return COLMAP's mapping options for a few cameras with wide baselines."""
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = seed
     # With one thread, the result is repeatable up to rounding.
@@ -214,8 +214,7 @@ def _mapping_options(seed: int) -> Any:
     options.mapper.init_min_num_inliers = 40
     options.mapper.init_min_tri_angle = 8.0
     options.mapper.abs_pose_min_num_inliers = 15
-    # With one image per camera, most points are seen in only two images. By default, COLMAP ignores points in only two
-    # images.
+    # With one image per camera, most points are seen in only two images. COLMAP ignores such points by default.
     options.triangulation.ignore_two_view_tracks = False
     return options
 

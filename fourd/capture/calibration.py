@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 INTRINSICS_NAME = "intri.yml"
 EXTRINSICS_NAME = "extri.yml"
 MAX_ROTATION_DIFFERENCE = 1e-3
-"""Maximum absolute difference between an element of the matrix Rot_c and the same element of the rotation matrix that
-is computed from the Rodrigues vector R_c."""
+"""Maximum absolute difference between corresponding elements of the matrix Rot_c and the rotation matrix computed from
+the Rodrigues vector R_c."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +123,8 @@ def check_calibration(folder: Path | str) -> CalibrationReport:
 
 
 def read_intrinsics(folder: Path | str) -> dict[str, Camera]:
-    """Read ``folder``/intri.yml, and return the cameras, keyed by name. All cameras have the identity pose, because
-    extri.yml is not read.
+    """Read ``folder``/intri.yml and return the cameras, keyed by name. They have the identity pose, because extri.yml
+    is not read.
 
     Raises:
         UserError: in the same cases as :func:`read_calibration`, or if a camera has no image size.
@@ -201,7 +201,8 @@ def _read_distortion(name: str, intri: _Storage) -> Array | None:
 
 
 def _read_rotation(name: str, extri: _Storage) -> Array:
-    """Read the rotation from the key Rot_c, or else from R_c; if both exist, their rotations must be equal."""
+    """Read the rotation from the key Rot_c, or from R_c if there is no Rot_c. If both exist, they must describe the
+    same rotation."""
     if not extri.has(f"R_{name}"):
         return extri.matrix(f"Rot_{name}", (3, 3))
     vector = extri.matrix(f"R_{name}", None)

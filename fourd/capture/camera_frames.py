@@ -26,10 +26,10 @@ class CameraFrames(Protocol):
         """
 
     def describe(self, frame: int) -> str:
-        """Description of the frame for error messages: the file, and in a video also the frame number."""
+        """Describe the frame for error messages by its file and, in a video, its frame number."""
 
     def close(self) -> None:
-        """Close open files. If a file is read later, it is opened again."""
+        """Close open files; the next read opens them again."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class PictureFrames:
 
 @dataclass(frozen=True)
 class VideoFrames:
-    """Selected frames of a video; ``numbers[i]`` is the video's frame number of the selected frame i."""
+    """Selected frames of a video; ``numbers[i]`` is the number of the selected frame i in the video."""
 
     reader: VideoReader
     numbers: Sequence[int]

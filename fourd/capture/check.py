@@ -1,4 +1,4 @@
-"""Check of a capture. The check collects all errors, while opening a capture stops at the first error."""
+"""Check of a capture, which collects all errors, whereas opening a capture stops at the first one."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ MIN_COVERAGE = 1e-4
 MAX_COVERAGE = 0.98
 MAX_MEAN_COVERAGE = 0.6
 MAX_FOCUS_MISS = 0.5
-"""Maximum distance from the common focus (the point that the cameras face) to a camera's optical axis, divided by the
-depth of the focus in the camera.
+"""Maximum tangent of the angle between a camera's optical axis and the direction to the common focus, which is the
+point that the cameras face.
 
-Above this maximum, a warning says that the camera faces away from the focus.
+Above this value, a warning says that the camera faces away from the focus.
 """
 
 
@@ -61,8 +61,7 @@ class Report:
         distorted: number of cameras with lens distortion.
         ring_radius: mean distance between the cameras and their common focus in world units; 0 if there is no common
             focus.
-        coverage: share of the image area that is white, averaged over the decoded mattes, or None if no matte was
-            decoded.
+        coverage: white fraction of the matte area, averaged over the decoded mattes, or None if no matte was decoded.
         nbytes: total size of all images, videos and mattes in bytes.
     """
 
@@ -84,8 +83,8 @@ def check_capture(path: Path | str, *, deep: bool = False, track: Track = untrac
 
     Args:
         path: the capture's folder.
-        deep: whether to decode all images and mattes. Otherwise, the check decodes only some mattes, and checks only
-            the names and sizes of all other files.
+        deep: whether to decode all images and mattes. If False, the check decodes only some mattes, and checks only the
+            names and sizes of all other files.
         track: progress callback.
     """
     path = Path(path)
@@ -168,7 +167,7 @@ class _Check:
             return None
 
     def _masks_folder(self) -> Path:
-        """Folder of the user's mattes, or folder of the generated mattes if the user has no mattes."""
+        """Return the folder of the user's mattes, or the folder of the generated mattes if the user has none."""
         has_own = bool(camera_folders(self.path / "masks")) or not (self.path / MATTES).is_dir()
         return self.path / ("masks" if has_own else MATTES)
 
@@ -197,7 +196,7 @@ class _Check:
         return [name for name in found if name in calibrated or not calibrated]
 
     def _video_frames(self, names: Sequence[str], calibrations: dict[str, Calibration]) -> list[str]:
-        """Names of the frames that exist in all videos."""
+        """Return the names of the frames that exist in all videos."""
         videos: dict[str, Video] = {}
         for name in names:
             videos |= self._try(list_videos, self.path, [name]) or {}
@@ -211,8 +210,8 @@ class _Check:
     def _check_folder(self, folder: Path, found: dict[str, str] | None, frames: list[str]) -> None:
         """Check that a camera's folder has all frames.
 
-        ``found`` maps frame names to file names. ``found`` is None if the folder could not be listed and the error has
-        already been reported.
+        ``found`` maps frame names to file names. It is None if the folder could not be listed, which has already been
+        reported as an error.
         """
         if found is None:
             return

@@ -14,7 +14,8 @@ from fourd.errors import UserError
 from fourd.limits import open_regular
 
 PICTURE_FORMATS = ("JPEG", "PNG")
-"""Image formats that Pillow may decode. For some other formats, such as EPS, Pillow starts external programs."""
+"""Image formats that Pillow may decode. Others are excluded, because Pillow starts external programs for some of them,
+such as EPS."""
 
 
 def decode_rgb(path: Path) -> NDArray[np.uint8]:

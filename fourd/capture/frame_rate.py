@@ -24,8 +24,8 @@ STANDARD_RATES = (
     *(Fraction(1000 * rate, 1001) for rate in (24, 30, 48, 60, 120, 240)),
 )
 STANDARD_TOLERANCE = 2e-4
-"""A frame rate is replaced by the nearest standard rate if their relative difference is below this value. The rates
-29.97 and 30 differ by 1e-3."""
+"""A frame rate is replaced by the nearest standard rate if their relative difference is below this value. For
+comparison, 29.97 and 30 differ by 1e-3."""
 
 
 def standard_rate(fps: float | Fraction, tolerance: float = STANDARD_TOLERANCE) -> Fraction:

@@ -23,18 +23,18 @@ DERIVED = Path(".fourd")
 """Folder in a capture for all files that fourd computes from the capture. fourd deletes stale files in this folder."""
 
 MATTES = DERIVED / "mattes"
-"""Folder in a capture for generated mattes CAM/FRAME.png. The generated mattes match the undistorted images."""
+"""Folder in a capture for generated mattes CAM/FRAME.png, which match the undistorted images."""
 
 
 def camera_folders(folder: Path) -> list[str]:
-    """Sorted names of the camera folders in ``folder``; an empty list if ``folder`` does not exist."""
+    """Return the sorted names of the camera folders in ``folder``; an empty list if ``folder`` does not exist."""
     if not folder.is_dir():
         return []
     return sorted(entry.name for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith("."))
 
 
 def find_pictures(folder: Path) -> dict[str, str]:
-    """File names of a camera's images in ``folder``, keyed by frame name. A frame's name is the file name without
+    """Return the file names of a camera's images in ``folder``, keyed by frame name, which is the file name without
     suffix.
 
     Raises:
@@ -55,7 +55,7 @@ def find_pictures(folder: Path) -> dict[str, str]:
 
 
 def find_videos(folder: Path) -> dict[str, Path]:
-    """Paths of the videos in ``folder``, keyed by camera name and sorted. A camera's name is the file name without
+    """Return the paths of the videos in ``folder``, sorted and keyed by camera name, which is the file name without
     suffix.
 
     Raises:
@@ -98,12 +98,12 @@ def refuse_symlinks(capture: Path, folder: Path) -> None:
 
 
 def sample_indices(count: int, max_samples: int) -> list[int]:
-    """At most ``max_samples`` evenly spaced indices from 0 to ``count`` - 1, including both ends."""
+    """Return at most ``max_samples`` evenly spaced indices from 0 to ``count`` - 1, including both ends."""
     return sorted({round(index) for index in np.linspace(0, count - 1, min(count, max_samples))})
 
 
 def frame_name(number: int) -> str:
-    """Name of a video frame from its number, which starts at 0."""
+    """Return the name of the video frame with this number, counted from 0."""
     return f"{number:06d}"
 
 
@@ -139,7 +139,7 @@ def parse_frame_range(text: str | None, count: int, source: str = "capture") -> 
     Args:
         text: the option's value, or None for all frames.
         count: number of frames.
-        source: what contains the frames, such as "capture"; used in error messages.
+        source: word for the container of the frames in error messages, such as "capture".
 
     Raises:
         UserError: if the text is not a valid range, or selects no frame.
@@ -162,7 +162,8 @@ def parse_frame_range(text: str | None, count: int, source: str = "capture") -> 
 
 
 def select_views(views: Sequence[str] | None, names: Sequence[str], option: str = "--views") -> list[str]:
-    """Names of the selected cameras in the order of ``names``. If ``views`` is None, all cameras are selected.
+    """Return the names of the selected cameras in the order of ``names``. If ``views`` is None, all cameras are
+    selected.
 
     Raises:
         UserError: if a name is unknown, or no camera is selected. For an unknown name, the message suggests the most
@@ -182,8 +183,8 @@ def select_views(views: Sequence[str] | None, names: Sequence[str], option: str 
 
 
 def link_entries(capture: Path, target: Path, *, left_out: Set[str]) -> None:
-    """Create symbolic links in ``target`` to the files and folders that lie directly in ``capture``. Names in
-    ``left_out`` get no link.
+    """Create symbolic links in ``target`` to the files and folders directly in ``capture``, except those named in
+    ``left_out``.
 
     Existing links are kept.
     """

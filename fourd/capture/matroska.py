@@ -16,10 +16,10 @@ SEGMENT = b"\x18\x53\x80\x67"
 
 
 def missing_bytes(path: Path) -> int:
-    """Number of bytes that are missing at the end of a Matroska file.
+    """Return the number of bytes that are missing at the end of a Matroska file.
 
-    The result is 0 for complete files, for files in other formats, and for files whose header does not contain
-    the size of the file. The header of a live recording that was not finalised does not contain the size.
+    The result is 0 for complete files, for files in other formats, and for files whose header does not contain the file
+    size, as in a live recording that was not finalised.
     """
     with open_regular(path) as stream:
         if stream.read(len(HEADER)) != HEADER:

@@ -42,7 +42,7 @@ class Mattes:
     Attributes:
         frames: the matte files, one per frame.
         is_generated: whether fourd generated the mattes. Generated mattes match the undistorted images, so the reader
-            does not undistort these mattes.
+            does not undistort them.
     """
 
     frames: CameraFrames
@@ -69,9 +69,8 @@ class Capture:
 
     Use the object as a context manager, or call :meth:`close`, because videos keep files and threads open.
 
-    Images and mattes are undistorted and scaled to match ``cameras``. Images and mattes are decoded on demand. A cache
-    of limited size keeps decoded images and mattes, so that memory does not grow with the number of frames. The class
-    is not thread-safe.
+    Images and mattes are decoded on demand, then undistorted and scaled to match ``cameras``. A cache of limited size
+    keeps them, so that memory does not grow with the number of frames. The class is not thread-safe.
 
     Attributes:
         path: the capture's folder.
@@ -80,8 +79,8 @@ class Capture:
         frame_names: names of the selected frames. A frame's name is the name of its image file without suffix.
         frame_numbers: indices of the selected frames in the whole capture.
         total_frames: number of frames of the whole capture.
-        time_span: range of frame indices in the whole capture. The first frame of the range has time 0, and the last
-            frame of the range has time 1. By default, the time span contains all frames.
+        time_span: range of frame indices in the whole capture, over which the time runs from 0 to 1. By default, it
+            contains all frames.
         fps: number of selected frames per second of the recording, or None if the frame rate is not known. If every
             S-th frame is selected, ``fps`` is the recording's frame rate divided by S.
     """
@@ -120,7 +119,7 @@ class Capture:
         self.close()
 
     def close(self) -> None:
-        """Close all videos. If a video is read later, it is opened again."""
+        """Close all videos; the next read opens them again."""
         for footage in self._footage:
             footage.images.close()
 
@@ -152,11 +151,12 @@ class Capture:
         return all(footage.mattes is not None for footage in self._footage)
 
     def time(self, frame: int) -> float:
-        """Time of a selected frame in [0, 1]: f / (F - 1) for frame f of the F frames of ``time_span``; 0 if F = 1."""
+        """Return the time f / max(F - 1, 1) in [0, 1] of a selected frame, which is frame f of the F frames in
+        ``time_span``."""
         return (self.frame_numbers[frame] - self.time_span.start) / max(len(self.time_span) - 1, 1)
 
     def image(self, camera: int, frame: int) -> Picture:
-        """Undistorted RGB image (H, W, 3) uint8 of a camera and frame; the array is read-only.
+        """Return the undistorted RGB image (H, W, 3) uint8 of a camera and frame; the array is read-only.
 
         Raises:
             UserError: if the file is damaged or its size differs from the image size of the camera.
@@ -165,7 +165,7 @@ class Capture:
         return self._cache.get(("image", camera, frame), lambda: self._read(frames, camera, frame))
 
     def mask(self, camera: int, frame: int) -> Picture:
-        """Undistorted matte (H, W) uint8 of a camera and frame; 255 is the object. The array is read-only.
+        """Return the undistorted matte (H, W) uint8 of a camera and frame; 255 is the object. The array is read-only.
 
         Raises:
             UserError: if there are no mattes, the file is damaged, or its size differs from the image size of the
@@ -223,7 +223,7 @@ def open_capture(
         frames: frame range ``A:B[:S]`` of indices in the sorted list of frames, or None for all frames.
         scale: factor in (0, 4] by which images are resized.
         cache_mb: size of the cache of decoded images in MiB.
-        cache_frames: the cache also has room for this number of frames, with one image per camera.
+        cache_frames: number of frames, with one image per camera, for which the cache has additional room.
         mattes: whether to open mattes; if any camera has mattes, all selected cameras and frames must have them.
 
     Raises:
@@ -275,7 +275,7 @@ def _check_mattes(path: Path, names: Sequence[str], footage: Sequence[Footage]) 
 
 
 def _list_picture_frames(path: Path, names: Sequence[str]) -> list[str]:
-    """Sorted names of all frames that have an image of at least one camera."""
+    """Return the sorted names of all frames that have an image of at least one camera."""
     found = {name: find_pictures(path / "images" / name) for name in names}
     for name in names:
         if not found[name]:
@@ -296,7 +296,7 @@ def _open_pictures(path: Path, name: str, chosen: Sequence[str]) -> Footage:
 
 
 def _list_video_frames(path: Path, videos: Mapping[str, Video]) -> list[str]:
-    """Names of the frames that exist in all videos."""
+    """Return the names of the frames that exist in all videos."""
     total = common_frames(videos)
     if total < 1:
         raise UserError(
@@ -313,7 +313,7 @@ def _open_video(video: Video, selected: range) -> Footage:
 
 
 def _open_mattes(path: Path, name: str, chosen: Sequence[str]) -> Mattes | None:
-    """The user's mattes of the chosen frames; the generated mattes if the user has none; None if both are missing."""
+    """Return the user's mattes of the chosen frames, or the generated mattes, or None if there are neither."""
     for folder, is_generated in ((path / "masks" / name, False), (path / MATTES / name, True)):
         files = find_pictures(folder)
         if files:
@@ -331,7 +331,7 @@ def _open_mattes(path: Path, name: str, chosen: Sequence[str]) -> Mattes | None:
 
 
 def _select_cameras(path: Path, calibrations: dict[str, Calibration], views: Sequence[str] | None) -> list[str]:
-    """Names of the selected cameras.
+    """Return the names of the selected cameras.
 
     Raises:
         UserError: if a selected camera has no calibration, or has no images and no video.
@@ -368,7 +368,7 @@ def _to_camera(path: Path, name: str, calibration: Calibration, size: tuple[int,
 
 
 def undistortion_maps(camera: Camera) -> NDArray[np.float32]:
-    """For each pixel of the undistorted image, its position in the distorted image: x and y as an array (2, H, W).
+    """Return the position (x, y) of each pixel of the undistorted image in the distorted image, as an array (2, H, W).
 
     The positions follow OpenCV's convention: the centre of the first pixel has the coordinate 0. In fourd, this centre
     has the coordinate 0.5, so the principal point is shifted by half a pixel.

@@ -25,18 +25,18 @@ from fourd.processes.isolation import ParserProcess
 
 CONTAINERS = "mov,mp4,matroska,webm,avi,mpegts,h264,hevc"
 """Names of the FFmpeg demuxers for the formats of :data:`fourd.capture.layout.VIDEO_SUFFIXES`, and for raw streams. Raw
-streams are opened only because a later check rejects them with an error message that explains the fix."""
+streams are included so that a later check can reject them with an error message that explains the fix."""
 MAX_JITTER = 0.05
-"""Maximum deviation of a frame's time from a constant frame rate, as a share of the interval between frames. If any
+"""Maximum deviation of a frame's time from a constant frame rate, as a fraction of the interval between frames. If any
 frame deviates more, the index stores the time of every frame."""
 MAX_RATE_ERROR = 5e-3
-"""The mean rate of unevenly spaced frames is replaced by the nearest standard rate if the relative difference of the
-two rates is less than a tolerance. The tolerance grows with the jitter of the frames, up to this value."""
+"""Upper limit of the relative tolerance with which the mean rate of unevenly spaced frames is rounded to the nearest
+standard rate. The tolerance grows with the jitter of the frames."""
 MIN_FPS, MAX_FPS = Fraction(1, 1000), 10_000
 """Minimum and maximum frame rate in 1/s. Scenes have the same limits."""
 PROBE_THREADS = 2
-"""Number of threads that decode the first and the last frame of a video. The number is small, because each thread keeps
-several frames in memory."""
+"""Number of threads that decode the first and the last frame of a video. It is small, because each thread keeps several
+frames in memory."""
 FRACTIONS = ("start", "fps", "tick")
 """Fields of an index that are stored in JSON as text, for example "30000/1001"."""
 
@@ -50,13 +50,13 @@ class VideoIndex:
         height: height of the decoded frames in pixels.
         frames: number of frames.
         start: presentation time of frame 0 in seconds.
-        fps: frame rate in 1/s. If the frame times are uneven, intervals with dropped frames are ignored.
+        fps: frame rate in 1/s. Dropped frames do not lower it.
         keyframes: ascending numbers of the frames that can be decoded without earlier frames.
-        turn: angle in degrees by which the metadata of the video turns the stored frames counter-clockwise: a multiple
-            of 90.
+        turn: angle in degrees, a multiple of 90, by which the video's metadata turns the stored frames
+            counter-clockwise.
         transfer: "HLG" or "PQ" for HDR video, which is converted to sRGB, otherwise "".
         scale: factor in (0, 1] that multiplies width and height of the frames when they are decoded.
-        tick: unit in seconds of ``times``.
+        tick: unit of ``times``, in seconds.
         times: if the frame times are uneven, the time from frame 0 to each frame, in ticks; otherwise empty.
     """
 
@@ -83,15 +83,15 @@ class VideoIndex:
         return replace(self, width=width, height=height, scale=scale)
 
     def time(self, frame: int) -> Fraction:
-        """Presentation time of a frame in seconds."""
+        """Return the presentation time of a frame in seconds."""
         return self.start + self.elapsed(frame)
 
     def elapsed(self, frame: int) -> Fraction:
-        """Time in seconds from frame 0 to a frame."""
+        """Return the time in seconds from frame 0 to a frame."""
         return self.times[frame] * self.tick if self.times else frame / self.fps
 
     def nearest(self, seconds: Fraction) -> int:
-        """Number of the frame that is nearest to the time ``seconds`` after frame 0.
+        """Return the number of the frame that is nearest to the time ``seconds`` after frame 0.
 
         If two frames are equally near, the number of the later frame is returned.
         """
@@ -103,7 +103,7 @@ class VideoIndex:
         return after if self.times[after] - ticks <= ticks - self.times[before] else before
 
     def keyframe_before(self, frame: int) -> int:
-        """Number of the last keyframe at or before ``frame``; 0 if there is no such keyframe."""
+        """Return the number of the last keyframe at or before ``frame``; 0 if there is no such keyframe."""
         count = int(np.searchsorted(self.keyframes, frame, side="right"))
         return self.keyframes[count - 1] if count else 0
 
@@ -111,8 +111,8 @@ class VideoIndex:
 def open_container(path: Path) -> InputContainer:
     """Open a video file.
 
-    Only the container formats of :data:`CONTAINERS` are read, and only from the file itself. Some other formats, such
-    as playlists, could make FFmpeg open more files or network addresses.
+    Only the container formats of :data:`CONTAINERS` are read, and only from the file itself, because other formats,
+    such as playlists, could make FFmpeg open more files or network addresses.
 
     Raises:
         UserError: if the file is a named pipe, a socket or a device. av.FFmpegError, OSError: if it is not a video.
@@ -159,7 +159,7 @@ def index_to_json(index: VideoIndex) -> dict[str, Any]:
 
 def index_from_json(values: Any) -> VideoIndex:
     """Create an index from its JSON values. Raises TypeError, KeyError, ValueError or ZeroDivisionError if the values
-    do not describe a valid index."""
+    are invalid."""
     values = dict(values) | {name: read_fraction(values[name]) for name in FRACTIONS if name in values}
     values |= {name: _whole_numbers(values.get(name, ())) for name in ("keyframes", "times")}
     index = VideoIndex(**values)
@@ -189,7 +189,7 @@ def _probe(path: Path) -> VideoIndex:
                 raise UserError(f"{path}: expected a video, got a file without a video stream; remove the file")
             stream = container.streams.video[0]
             declared = stream.frames
-            # The edit list of an MP4 file can exclude frames. The decoder discards the excluded frames.
+            # ``is_discard`` marks frames that the edit list of an MP4 file excludes and the decoder discards.
             found = [
                 (packet.pts, packet.is_keyframe, packet.is_discard) for packet in container.demux(stream) if packet.size
             ]
@@ -288,7 +288,7 @@ class VideoReader:
         found = self._decode_until(number)
         if found is None:
             # The seek missed the requested frame: it went too far, or the frame is stored after a keyframe that is
-            # displayed later than the frame. In both cases, decode from the start of the video.
+            # displayed later. In both cases, decode from the start of the video.
             self._seek(0)
             found = self._decode_until(number)
         if found is None:
@@ -296,7 +296,7 @@ class VideoReader:
         return to_rgb(found, self.index.turn, self.index.transfer, self.index.scale)
 
     def _decode_until(self, wanted: int) -> av.VideoFrame | None:
-        """Decode frames up to the frame number ``wanted``; return the frame ``wanted``, or None if it is missing."""
+        """Decode frames up to the number ``wanted``, and return that frame, or None if it is missing."""
         for frame in self._frames:
             if frame.pts is None or frame.time_base is None:
                 continue
@@ -328,8 +328,8 @@ class VideoReader:
 
 
 def first_frame(path: Path) -> tuple[int, int, int, str]:
-    """Width and height in pixels of the upright first frame, the angle in degrees that turns it upright, and its HDR
-    transfer function.
+    """Return the width and height in pixels of the upright first frame, the angle in degrees that turns it upright, and
+    its HDR transfer function.
 
     Raises:
         UserError: if no frame can be decoded, or the metadata mirrors the frames or turns them by an angle that is not
@@ -353,7 +353,7 @@ def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fra
     evenly spaced.
 
     The container may have rounded the times to multiples of its time base, ``base`` seconds. If the times are uneven,
-    as in videos of phones, an interval with dropped frames counts as several intervals.
+    as in phone videos, an interval with dropped frames counts as several intervals.
 
     Raises:
         UserError: if several frames have the same time.
@@ -366,10 +366,10 @@ def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fra
     jitter = np.abs(pts - pts[0] - np.arange(len(pts)) * float(step))
     if jitter.max() <= MAX_JITTER * float(step) or jitter.max() <= 1:
         return _rounded_rate(path, 1 / (step * base)), True
-    # A least-squares fit of the times over the frame numbers, in which dropped frames keep their numbers.
+    # Fit a line to the times as a function of the frame numbers (least squares). Dropped frames keep their numbers.
     numbers = np.cumsum([0, *np.maximum(np.rint(steps / np.median(steps)), 1)])
     (interval, _), covariance = np.polyfit(numbers, pts - pts[0], 1, cov=True)
-    # The shorter the video, the more the jitter of its frames changes the interval.
+    # The tolerance follows the interval's standard error: jitter changes the interval more in shorter videos.
     error = float(np.sqrt(covariance[0, 0])) / float(interval)
     tolerance = min(max(3 * error, STANDARD_TOLERANCE), MAX_RATE_ERROR)
     rate = 1 / (Fraction(float(interval)) * base)

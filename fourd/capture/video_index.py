@@ -14,9 +14,8 @@ from fourd.progress import Track
 
 
 def cached_indices(files: Mapping[str, Path], folder: Path, track: Track) -> dict[str, VideoIndex]:
-    """Return the indices of the videos, keyed by camera name. The indices are cached in the file
-    ``folder``/.fourd/videos.json. Missing indices are created, and each new index is immediately written to the cache
-    file.
+    """Return the indices of the videos, keyed by camera name, from the cache file ``folder``/.fourd/videos.json.
+    Missing indices are created, and each new index is immediately written to the cache file.
 
     Args:
         files: path of each video by camera name.

@@ -1,7 +1,7 @@
 """Reading and writing of videos.json, which lists the videos of a capture with their indices and offsets in frames.
 
-The frames of a capture are evenly spaced in time on a common clock. For the time of each frame, the nearest frame of
-each video is used.
+The frames of a capture are evenly spaced in time on a common clock. Each capture frame uses, from each video, the frame
+that is nearest in time.
 """
 
 from __future__ import annotations
@@ -58,11 +58,11 @@ class Video:
         return self.fps or self.index.fps
 
     def seconds(self, frame: int) -> Fraction:
-        """Time in seconds from the video's first frame to a frame of the capture."""
+        """Return the time in seconds from the video's first frame to a frame of the capture."""
         return (frame + Fraction(self.offset)) / self.rate
 
     def number(self, frame: int) -> int:
-        """Number of the video frame that is nearest in time to the capture's frame ``frame``."""
+        """Return the number of the video frame that is nearest in time to the capture's frame ``frame``."""
         return self.index.nearest(self.seconds(frame))
 
     @property
@@ -86,8 +86,8 @@ class Video:
         return max((abs(float(self.index.elapsed(self.index.nearest(at)) - at)), frame) for at, frame in seconds)
 
     def drifts_from(self, fps: Fraction) -> bool:
-        """Whether the video, over its whole length, drifts by more than half a frame from a video with the frame rate
-        ``fps``."""
+        """Return whether the video, over its whole length, drifts by more than half a frame from a video with the frame
+        rate ``fps``."""
         return abs(float(self.index.fps / fps) - 1) * self.index.frames > MAX_DRIFT_FRAMES
 
 
@@ -167,12 +167,12 @@ def align_videos(
 
 
 def common_frames(videos: Mapping[str, Video]) -> int:
-    """Number of frames of the capture: the minimum of :attr:`Video.frames_left` over all videos."""
+    """Return the number of frames of the capture: the minimum of :attr:`Video.frames_left` over all videos."""
     return min((video.frames_left for video in videos.values()), default=0)
 
 
 def common_rate(videos: Mapping[str, Video]) -> Fraction | None:
-    """Frame rate of the capture in 1/s, or None if there is no video.
+    """Return the frame rate of the capture in 1/s, or None if there is no video.
 
     Raises:
         UserError: if videos that are not on a common clock have different frame rates.
@@ -199,7 +199,7 @@ def make_entry(video: Video) -> Entry:
 
 
 def is_entry_current(entry: Entry | None, path: Path) -> bool:
-    """Whether the name and size in a video's ``entry`` match the file at ``path``."""
+    """Return whether the name and size in a video's ``entry`` match the file at ``path``."""
     return entry is not None and (entry.get("file"), entry.get("bytes")) == (path.name, path.stat().st_size)
 
 

@@ -37,8 +37,7 @@ HLG_PEAK = 1000.0
 HLG_GAMMA = 1.2
 KNEE = 0.85
 MAX_TURN_ERROR = 1
-"""A display matrix counts as a turn by a multiple of 90 degrees if its angle deviates from the multiple by at most this
-number of degrees."""
+"""Maximum deviation in degrees of a display matrix's angle from a multiple of 90 degrees."""
 LEVELS = 1 << 12
 """Number of entries of the tables of transfer functions.
 
@@ -54,14 +53,14 @@ BT709_FROM_BT2020 = (
 
 
 def transfer_of(frame: av.VideoFrame) -> str:
-    """The HDR transfer function of a frame: "HLG", "PQ", or "" if the frame is not HDR."""
+    """Return the HDR transfer function of a frame: "HLG", "PQ", or "" if the frame is not HDR."""
     return TRANSFERS.get(int(frame.color_trc or 0), "")
 
 
 def turn_of(frame: av.VideoFrame) -> int | None:
-    """Angle in degrees (0, 90, 180 or 270) by which a frame must be turned counter-clockwise to be upright.
+    """Return the angle in degrees (0, 90, 180 or 270) by which a frame must be turned counter-clockwise to be upright.
 
-    Returns None if the display matrix of the frame has none of these angles, or mirrors the frame.
+    Returns None if the frame's display matrix mirrors the frame or turns it by another angle.
     """
     side_data: Any = frame.side_data  # PyAV accepts this key, but its type annotations do not declare it
     if "DISPLAYMATRIX" in side_data:
@@ -92,7 +91,8 @@ def to_rgb(frame: av.VideoFrame, turn: int, transfer: str, scale: float) -> Pict
 
 
 def reduced_size(width: int, height: int, scale: float) -> tuple[int, int]:
-    """Width and height times ``scale``, rounded to whole pixels like :meth:`fourd.cameras.Camera.rescale`."""
+    """Return the width and height times ``scale``, rounded to whole pixels like
+    :meth:`fourd.cameras.Camera.rescale`."""
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
@@ -134,7 +134,7 @@ def _tone_map(signal: Floats, transfer: str) -> Picture:
 
 @cache
 def _tables(transfer: str) -> tuple[Floats, Picture, Floats]:
-    """Lookup tables of an HDR transfer function and of sRGB.
+    """Return lookup tables of an HDR transfer function and of sRGB.
 
     Returns:
         Three tables. The first table has the linear light for each signal value, in units of the reference white (for

@@ -17,8 +17,8 @@ from fourd.errors import UserError
 from fourd.progress import Track, untracked
 
 COARSE_CELLS = 48
-"""Number of grid cells along the longest side of the hull's bounding box. The number limits the error of the measured
-box to 2% of its longest side, which is less than the default margin."""
+"""Number of grid cells along the longest side of the hull's bounding box. It limits the error of the measured box to 2%
+of its longest side, which is less than the default margin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,16 +57,16 @@ class Bounds:
         return self.upper - self.lower
 
     def union(self, other: Bounds) -> Bounds:
-        """The smallest box that contains both this box and the box ``other``."""
+        """Return the smallest box that contains both this box and the box ``other``."""
         return Bounds(np.minimum(self.lower, other.lower), np.maximum(self.upper, other.upper))
 
     def padded(self, share: float) -> Bounds:
-        """The box with each face moved outwards by ``share`` times the longest side."""
+        """Return the box with each face moved outwards by ``share`` times the longest side."""
         pad = share * float(self.extent.max())
         return Bounds(self.lower - pad, self.upper + pad)
 
     def contains(self, xyz: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
-        """(N,) bool, true for points ``xyz`` (N, 3) that are inside the box."""
+        """Return a bool array (N,) that is True for points ``xyz`` (N, 3) that are inside the box."""
         return np.all((xyz >= self.lower) & (xyz <= self.upper), axis=1)
 
 
@@ -83,13 +83,13 @@ def find_bounds(
 
     Args:
         capture: cameras and masks; frames are read one at a time.
-        agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least the share ``agreement`` of
-            the views that see it.
-        least_views: a share in (0, 1]. At least the share ``least_views`` of all views, and at least 3 views, must see
-            a hull point. If there are only 2 views, both must see the point.
-        margin: distance by which each face of the box is moved outwards, as a share of the box's longest side.
-        max_frames: maximum number of frames that are read. The frames are evenly spaced and include the first and the
-            last frame.
+        agreement: a point belongs to the hull only if it is inside the silhouettes of at least this fraction, in (0,
+            1], of the views that see it.
+        least_views: a point belongs to the hull only if at least this fraction, in (0, 1], of all views, and at least 3
+            views, see it. If there are only 2 views, both must see it.
+        margin: distance by which each face of the box is moved outwards, as a fraction of the box's longest side.
+        max_frames: maximum number of frames that are read. They are evenly spaced and include the first and the last
+            frame.
         track: callback that reports progress.
 
     Raises:
@@ -124,8 +124,8 @@ def hull_bounds(
 ) -> Bounds:
     """Find the bounding box of the visual hull of one frame, without a margin.
 
-    The error of the box is at most 2% of its longest side. The search starts in a cube that contains all cameras. The
-    cube's centre is the point nearest to all optical axes. The cube is enlarged if the hull touches its faces.
+    The error of the box is at most 2% of its longest side. The search starts in a cube that contains all cameras and is
+    centred on the point nearest to all optical axes. The cube is enlarged if the hull touches its faces.
 
     Raises:
         UserError: if the hull is empty. The message names the 3 views that disagree most with the others; see
@@ -150,9 +150,8 @@ def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
     """Find the point (3,) nearest to all optical axes, and the distance between this point and the farthest camera.
 
     If the optical axes are almost parallel, many points are almost equally near to them, and a weak prior determines
-    the result. The prior is a point in front of the mean of the camera centres. The distance of the prior from the mean
-    is four times the distance of the farthest camera from the mean. If the axes are not almost parallel, the prior has
-    almost no effect, because its weight is only 0.1% of the weight of the axes.
+    the result: a point in front of the mean of the camera centres, four times as far from it as the farthest camera.
+    Otherwise, the prior has almost no effect, because its weight is only 0.1% of the weight of the axes.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -192,10 +191,10 @@ def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | Non
 
 
 def removed_shares(views: Silhouettes, half: float) -> list[float]:
-    """For each view, compute a share in [0, 1]: how much of the hull of all other views disappears when the view is
-    added. The hull of the other views is computed with an agreement of 1. If the hull of the other views is empty, the
-    agreement is lowered in steps, to 0.5 at the lowest, until the hull is not empty. The search cube is centred on the
-    origin of ``views``, and ``half`` is half the cube's side in world units.
+    """Compute, for each view, the fraction in [0, 1] of the hull of all other views that disappears when the view is
+    added. The hull of the other views is computed with an agreement of 1. If it is empty, the agreement is lowered in
+    steps, to 0.5 at the lowest, until it is not empty. The search cube is centred on the origin of ``views``, and
+    ``half`` is half the cube's side in world units.
     """
     shares = []
     for index, view in enumerate(views.views):
@@ -211,7 +210,7 @@ def removed_shares(views: Silhouettes, half: float) -> list[float]:
 
 
 def candidate_cells(views: Silhouettes, half: float) -> tuple[NDArray[np.float32], float]:
-    """Find the cells that may contain the object. The cells are subdivided until COARSE_CELLS cells span the object.
+    """Find the cells that may contain the object, and subdivide them until COARSE_CELLS cells span the object.
 
     Returns:
         centres (3, N) of the cells, and the side length of a cell in world units.

@@ -51,20 +51,20 @@ def carve_frame(
 ) -> CarvedFrame:
     """Carve one frame's visual hull and spread points evenly over its surface.
 
-    Cells are subdivided from coarse to fine. Cells that certainly contain no surface are dropped. The finest cells are
-    so small that the surface intersects more cells than the number of requested points. The centres of the finest cells
-    are moved onto the surface with an error of at most a tenth of a cell's side. Finally, points are removed evenly
-    until the requested number remains.
+    Cells are subdivided from coarse to fine, and cells that certainly contain no surface are dropped. The finest cells
+    are so small that the surface intersects more of them than points are requested. Their centres are moved onto the
+    surface with an error of at most a tenth of a cell's side. Finally, points are removed evenly until the requested
+    number remains.
 
     Args:
         masks: mattes (H, W) uint8, one per camera; 255 is the object.
         cameras: undistorted pinhole cameras.
         bounds: search box, for example from :func:`find_bounds`.
         points: number of points to return, at least 1.
-        agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least the share ``agreement`` of
-            the views that see it. If 20 views see the point, an agreement of 0.95 tolerates one wrong view.
-        least_views: a share in (0, 1]. At least the share ``least_views`` of all views, and at least 3 views, must see
-            a hull point. If there are only 2 views, both must see the point.
+        agreement: a point belongs to the hull only if it is inside the silhouettes of at least this fraction, in (0,
+            1], of the views that see it. If 20 views see it, an agreement of 0.95 tolerates one wrong view.
+        least_views: a point belongs to the hull only if at least this fraction, in (0, 1], of all views, and at least 3
+            views, see it. If there are only 2 views, both must see it.
         trim: whether to remove protruding parts of the hull; see :mod:`fourd.carving.excess`. The remaining hull still
             covers all silhouettes.
         inset: distance by which points are moved into the hull, as a multiple of ``spacing``. In thin parts of the
@@ -75,8 +75,8 @@ def carve_frame(
 
     Raises:
         UserError: if the hull is empty. The message names the 3 views that disagree most with the other views.
-        ValueError: if the numbers or shapes of masks and cameras do not match, ``points`` is below 1, a share is
-            outside (0, 1], or ``inset`` is negative.
+        ValueError: if the numbers or shapes of masks and cameras do not match, ``points`` is below 1, ``agreement`` or
+            ``least_views`` is outside (0, 1], or ``inset`` is negative.
     """
     if points < 1:
         raise ValueError(f"points: expected at least 1, got {points}")
@@ -98,8 +98,7 @@ def carve_frame(
 
 
 def _thin(xyz: Floats, normals: Floats, size: float, points: int, seed: int) -> tuple[Floats, Floats, float]:
-    """Choose at most ``points`` evenly spread candidates in random order, and compute the mean spacing of the chosen
-    points."""
+    """Choose at most ``points`` evenly spread candidates in random order, and compute their mean spacing."""
     chosen = thin_evenly(xyz, points, np.random.default_rng(seed))
     spacing = float(size * np.sqrt(len(xyz) / max(len(chosen), 1)))
     return xyz[chosen], normals[chosen], spacing

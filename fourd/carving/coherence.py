@@ -1,10 +1,10 @@
-"""Agreement of mattes with the visual hull: the share of each matte that the visual hull of the other views covers.
+"""Agreement of mattes with the visual hull: the fraction of each matte that the visual hull of the other views covers.
 
 The measure needs no ground truth. Silhouette coherence (Hernandez et al. 2007) compares the silhouette of each view
-with the silhouette of the visual hull of all views. The measure in this module instead compares each matte with the
-hull of the other views. If a matte covers more than the object, the hull of the other views does not cover the whole
-matte, so the matte's share is low. If a matte lacks a part of the object, the hulls also lack the part, so the shares
-of all other mattes are low.
+with the silhouette of the visual hull of all views. This module instead compares each matte with the hull of the other
+views. If a matte covers more than the object, the hull of the other views does not cover the whole matte, so this
+matte's fraction is low. If a matte lacks a part of the object, the hulls that use it also lack this part, so the
+fractions of all other mattes are low.
 """
 
 from __future__ import annotations
@@ -30,13 +30,14 @@ THRESHOLD = 128
 
 @dataclass(frozen=True, eq=False)
 class FrameCoherence:
-    """Agreement of the mattes of one frame with the visual hull. For views with an empty matte, the values are NaN.
+    """Agreement of the mattes of one frame with the visual hull. For views with an empty matte, all values except
+    ``area`` are NaN.
 
     Attributes:
-        explained: (C,) share in [0, 1] of each view's matte that the silhouette of the other views' hull covers.
-        kept: (C,) share in [0, 1] of each view's matte that the silhouette of the hull of all views covers.
+        explained: (C,) fraction of each view's matte that the silhouette of the other views' hull covers.
+        kept: (C,) fraction of each view's matte that the silhouette of the hull of all views covers.
         overlap: (C,) intersection over union of each view's matte and the silhouette of the hull of all views.
-        area: (C,) share in [0, 1] of the image that each matte covers. The share is 0 for an empty matte.
+        area: (C,) fraction of the image that each matte covers; 0 for an empty matte.
     """
 
     explained: NDArray[np.float64]
@@ -54,19 +55,20 @@ def frame_coherence(
 ) -> FrameCoherence:
     """Compare the mattes of one frame with the silhouettes of their visual hulls.
 
-    The hulls consist of cells. At least about 100 cells span the object's longest side.
+    The hulls consist of cells, of which at least about 100 span the object's longest side.
 
     Args:
         masks: mattes (H, W) uint8, one per camera; 255 is the object. At least 2 mattes are required.
         cameras: undistorted pinhole cameras.
-        agreement: share in (0, 1]. A hull point must be inside the mattes of at least the share ``agreement`` of the
-            views that see it.
-        least_views: share in (0, 1]. At least the share ``least_views`` of all views must see a hull point.
+        agreement: a point belongs to the hull only if it is inside the mattes of at least this fraction, in (0, 1], of
+            the views that see it.
+        least_views: a point belongs to the hull only if at least this fraction, in (0, 1], of all views, and at least 3
+            views, see it. If there are only 2 views, both must see it.
     """
     focus, reach = viewing_region(cameras)
     views = Silhouettes.from_masks(masks, cameras, focus, agreement=agreement, least_views=least_views)
-    # The candidate cells must contain every hull that is computed with one view left out. The number of views that may
-    # exclude a candidate cell is therefore one more than the number of tolerated outliers.
+    # The candidate cells must contain every hull that is computed with one view left out, so the number of views that
+    # may exclude a candidate cell is one more than the number of tolerated outliers.
     count = len(views.views)
     rejecting = int(views.tolerated_outliers(np.array(count))) + 1
     cells, size = candidate_cells(replace(views, agreement=max(0.5, 1 - rejecting / count)), 1.5 * reach)
@@ -93,8 +95,8 @@ def frame_coherence(
 
 
 def _votes(views: Silhouettes, cells: Floats, size: float) -> tuple[Flags, Flags]:
-    """Two boolean arrays (C, N) with an element for each view and each cell: whether the view sees the cell's centre,
-    and whether the view's silhouette excludes the cell."""
+    """Return two boolean arrays (C, N) with an element for each view and each cell: whether the view sees the cell's
+    centre, and whether the view's silhouette excludes the cell."""
     seen = np.zeros((len(views.views), cells.shape[1]), np.bool_)
     outside = np.zeros_like(seen)
     for index, view in enumerate(views.views):
@@ -110,7 +112,7 @@ def _is_hull(views: Silhouettes, seen: NDArray[np.int64], outside: NDArray[np.in
 
 
 def _silhouette(xyz: NDArray[np.float64], size: float, camera: Camera) -> Flags:
-    """Silhouette (H, W) in ``camera`` of the cells that have the centres ``xyz`` (3, N) and the side length
+    """Return the silhouette (H, W) in ``camera`` of the cells that have the centres ``xyz`` (3, N) and the side length
     ``size``."""
     picture = np.zeros((camera.height, camera.width), np.uint8)
     if xyz.shape[1] == 0:

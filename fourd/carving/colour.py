@@ -12,8 +12,8 @@ from fourd.cameras import Camera
 from fourd.carving.silhouette import Floats, sample
 
 DEPTH_CELL = 2.5
-"""Side length of a cell of the coarse depth map, as a multiple of the point spacing. The cells are so large that the
-nearest surface has at least one point in each cell that it covers."""
+"""Side length of a cell of the coarse depth map, as a multiple of the point spacing. It is so large that the nearest
+surface has at least one point in each cell that it covers."""
 
 
 def colour_points(
@@ -27,8 +27,8 @@ def colour_points(
 
     A view sees a point if the point faces the camera and is not occluded. A point is occluded if it lies more than a
     few point spacings behind the nearest point in the same cell of a coarse depth map. The weight of a view is the
-    fourth power of the cosine of the angle between the normal and the direction to the camera. The weight is therefore
-    small at silhouette edges, where pixels mix with the background.
+    fourth power of the cosine of the angle between the normal and the direction to the camera, so it is small at
+    silhouette edges, where pixels mix with the background.
 
     Args:
         xyz: (N, 3) world points.
@@ -56,7 +56,7 @@ def colour_points(
 
 
 def _project(xyz: Floats, camera: Camera) -> tuple[Floats, Floats, Floats]:
-    """Pixel coordinates x (N,) and y (N,) and depths (N,) of world points (N, 3), all in float32."""
+    """Return the pixel coordinates x (N,) and y (N,) and depths (N,) of world points (N, 3), all in float32."""
     matrix = camera.intrinsics @ camera.rotation
     offset = camera.intrinsics @ camera.translation
     x, y, depth = matrix.astype(np.float32) @ xyz.T + offset.astype(np.float32)[:, None]
@@ -65,14 +65,14 @@ def _project(xyz: Floats, camera: Camera) -> tuple[Floats, Floats, Floats]:
 
 
 def _view_cosine(xyz: Floats, normals: Floats, camera: Camera) -> Floats:
-    """Cosine (N,) of the angle between the outward normal of each point and the direction to the camera."""
+    """Return the cosine (N,) of the angle between the outward normal of each point and the direction to the camera."""
     rays = camera.centre.astype(np.float32) - xyz
     return (rays * normals).sum(axis=1) / np.maximum(np.sqrt((rays**2).sum(axis=1)), np.float32(1e-12))
 
 
 def _is_unoccluded(x: Floats, y: Floats, depth: Floats, camera: Camera, spacing: float) -> NDArray[np.bool_]:
-    """(N,) bool, true for points that lie at most three cell widths behind the nearest point in the same cell of the
-    depth map."""
+    """Return a bool array (N,) that is True for points that lie at most three cell widths behind the nearest point in
+    the same cell of the depth map."""
     if depth.size == 0:
         return np.zeros(0, dtype=np.bool_)
     focal = float(np.sqrt(camera.intrinsics[0, 0] * camera.intrinsics[1, 1]))

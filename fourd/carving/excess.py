@@ -1,16 +1,14 @@
-"""Removal of excess parts of the visual hull. Excess parts are protrusions of the hull without which the hull still
-covers all silhouettes.
+"""Removal of excess parts of the visual hull, which are protrusions without which it still covers all silhouettes.
 
-The visual hull is the largest shape that agrees with all silhouettes. The hull protrudes from the object in directions
-that lie between the directions of the views, and in concave regions, which no silhouette shows. Training often cannot
-remove excess parts, because they can have the correct colour in every view. For example, a white lump in front of a
-white chest looks correct in every view.
+The visual hull is the largest shape that agrees with all silhouettes. It protrudes from the object in directions
+between those of the views, and in concave regions, which no silhouette shows. Training often cannot remove these excess
+parts, because they can have the correct colour in every view, like a white lump in front of a white chest.
 
-First, the hull is filled with cells. Then, in each round, cells with a mostly empty neighbourhood are removed. However,
-for each pixel inside a silhouette, the cell with the fullest neighbourhood on the pixel's ray is kept. The remaining
-cells therefore still cover all silhouettes. Repeated smoothing and thresholding moves a surface by its mean curvature
-(Merriman, Bence and Osher 1994). Kolev and Cremers (2008) also search for a shape that has a small area and satisfies
-silhouette constraints, but they solve a convex problem.
+First, the hull is filled with cells. Then, in each round, cells with a mostly empty neighbourhood are removed, but for
+each pixel inside a silhouette, the cell with the fullest neighbourhood on the pixel's ray is kept, so that the
+remaining cells still cover all silhouettes. Such repeated smoothing and thresholding moves a surface by its mean
+curvature (Merriman, Bence and Osher 1994). Kolev and Cremers (2008) also search for a shape that has a small area and
+satisfies silhouette constraints, but they solve a convex problem.
 """
 
 from __future__ import annotations
@@ -32,15 +30,14 @@ CELLS_PER_THICKNESS = 6
 area. Cells are never smaller than the distance between points."""
 
 MAX_GRID_CELLS = 1 << 24
-"""Maximum number of cells of the grid that encloses the hull. Cells are enlarged if the grid would exceed this
-maximum."""
+"""Maximum number of cells of the grid that encloses the hull. Cells are enlarged if the grid would exceed it."""
 
 SMOOTHING_CELLS = 3.0
 """Standard deviation, in cells, of the Gaussian that measures how full the neighbourhood of a cell is."""
 
 MIN_FULLNESS = 0.48
-"""A cell is removed if the filled share of its neighbourhood is below this value. On a flat surface, the neighbourhood
-of a cell is half full."""
+"""A cell is removed if the filled fraction of its neighbourhood is below this value. On a flat surface, the
+neighbourhood of a cell is half full."""
 
 MAX_ROUNDS = 12
 
@@ -49,10 +46,9 @@ RAY_CELLS = 0.7
 shrink."""
 
 CRUMB_FULLNESS = 0.5
-"""Factor that decides whether the cell with the fullest neighbourhood on a ray is kept. The filled share of its
-neighbourhood must be at least this factor times the largest filled share on the adjacent rays. Otherwise, the cell is
-treated as a small piece of an excess part. Such a piece is the fullest cell of a ray that passes between the centres of
-the object's cells."""
+"""The cell with the fullest neighbourhood on a ray is kept only if the filled fraction of this neighbourhood is at
+least this factor times the largest filled fraction on the adjacent rays. Otherwise, it is treated as a small piece of
+an excess part, which can be the fullest cell of a ray that passes between the centres of the object's cells."""
 
 NEAR_CELLS = 1.3
 """A point belongs to a cell if its distance from the cell's centre is at most this number of side lengths of a cell."""
@@ -78,13 +74,13 @@ class FilledHull:
     cells: NDArray[np.int64]
 
     def centres(self, cells: NDArray[np.int64]) -> Floats:
-        """Centres (M, 3) of the cells with the given flat indices (M,)."""
+        """Return the centres (M, 3) of the cells with the given flat indices (M,)."""
         index = np.stack(np.unravel_index(cells, self.shape), axis=1)
         return (self.lower + index * self.side).astype(np.float32)
 
     def smoothed(self, cells: NDArray[np.int64], sigma_cells: float) -> Floats:
-        """Occupancy of the grid by ``cells`` (M,), smoothed with a Gaussian: an array with the grid's shape and values
-        in [0, 1]."""
+        """Return the occupancy of the grid by ``cells`` (M,), smoothed with a Gaussian: an array with the grid's shape
+        and values in [0, 1]."""
         values = np.zeros(self.shape, np.float32)
         values.ravel()[cells] = 1
         reach = int(3 * sigma_cells + 0.5)
@@ -100,7 +96,7 @@ class FilledHull:
 def replace_excess(
     views: Silhouettes, lower: Array, upper: Array, xyz: Floats, normals: Floats, size: float
 ) -> tuple[Floats, Floats]:
-    """Remove the surface points of the hull's excess parts. Add points on the surface of the remaining hull.
+    """Remove the surface points of the hull's excess parts, and add points on the surface of the remaining hull.
 
     Args:
         views: the silhouettes.
@@ -152,12 +148,12 @@ def fill_hull(views: Silhouettes, lower: Array, upper: Array, side: float) -> Fi
 
 
 def _grid_cells(cells: Floats, side: float) -> float:
-    """Number of cells of the smallest grid that contains the cells with the centres (3, N)."""
+    """Return the number of cells of the smallest grid that contains the cells with the centres (3, N)."""
     return float(np.prod(np.ptp(cells.astype(np.float64), axis=1) / side + 6 * SMOOTHING_CELLS))
 
 
 def remove_excess(views: Silhouettes, hull: FilledHull) -> NDArray[np.int64]:
-    """Flat indices (M,) of the cells that remain after removal of the excess parts."""
+    """Return the flat indices (M,) of the cells that remain after removal of the excess parts."""
     centres = np.ascontiguousarray(hull.centres(hull.cells).T)
     rays = [_rays_of_cells(view, centres, hull.side) for view in views.views]
     alive = np.arange(len(hull.cells))
@@ -179,9 +175,9 @@ def remove_excess(views: Silhouettes, hull: FilledHull) -> NDArray[np.int64]:
 
 
 def _rays_of_cells(view: SilhouetteView, centres: Floats, side: float) -> tuple[NDArray[np.int64], tuple[int, int]]:
-    """The rays of a view form a grid. For each cell centre (3, N), return the flat index of the ray through the centre
-    in the grid of rays. Also return the shape (rows, columns) of the grid of rays. The index is -1 if the centre
-    projects outside the view's silhouette or image."""
+    """Return, for each cell centre (3, N), the flat index of the ray through it in the view's grid of rays, and the
+    shape (rows, columns) of this grid. The index is -1 if the centre projects outside the view's silhouette or
+    image."""
     x, y, z = view.project(centres)
     is_inside = view.sees(x, y, z)
     is_inside[is_inside] = sample(view.distance, x[is_inside], y[is_inside], cv2.INTER_LINEAR) >= 0
@@ -201,8 +197,8 @@ def _rays_of_cells(view: SilhouetteView, centres: Floats, side: float) -> tuple[
 def _surface_inside_hull(
     views: Silhouettes, hull: FilledHull, remaining: NDArray[np.int64], size: float
 ) -> tuple[Floats, Floats]:
-    """Points (M, 3) and outward normals (M, 3) on the surface of the remaining cells. Points near the hull's surface
-    are left out. ``size`` is the distance between neighbouring points."""
+    """Return the points (M, 3) and outward normals (M, 3) on the surface of the remaining cells. Points near the hull's
+    surface are left out. ``size`` is the distance between neighbouring points."""
     volume = hull.smoothed(remaining, SURFACE_SMOOTHING_CELLS)
     if float(volume.max(initial=0)) <= 0.5:
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)
@@ -218,7 +214,8 @@ def _surface_inside_hull(
 
 
 def _is_near(xyz: Floats, others: Floats, distance: float) -> NDArray[np.bool_]:
-    """(N,) bool, true for points (N, 3) within ``distance`` of one of the points ``others`` (M, 3)."""
+    """Return a bool array (N,) that is True for points (N, 3) within ``distance`` of one of the points ``others`` (M,
+    3)."""
     if len(others) == 0 or len(xyz) == 0:
         return np.zeros(len(xyz), np.bool_)
     return np.isfinite(np.asarray(cKDTree(others).query(xyz, distance_upper_bound=distance)[0]))

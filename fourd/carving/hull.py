@@ -30,8 +30,8 @@ enlarged radius with the signed distance at the cell's centre. The tolerance acc
 pixels) and for rounding in bilinear sampling."""
 
 SLACK_FACTOR = np.float32(1.03)
-"""Factor that multiplies the radius of a cell's projection in pixels. The factor accounts for the error of the 5x5
-distance transform, which is up to 2%."""
+"""Factor that multiplies the radius of a cell's projection in pixels, to account for the error of the 5x5 distance
+transform, which is up to 2%."""
 
 MIN_VIEWS = 3
 """At least this number of views must see a hull point, unless there are fewer views. Two views are not enough, because
@@ -43,13 +43,13 @@ DIAGONAL = float(np.sqrt(3) / 2)
 
 @dataclass(frozen=True, eq=False)
 class Silhouettes:
-    """All silhouettes of one frame, and the share of the views that must agree.
+    """All silhouettes of one frame, and the fraction of the views that must agree.
 
     Attributes:
         origin: (3,) float64 world point. The coordinates of all cells and points are relative to the origin.
         views: the silhouettes in the order of the cameras.
-        agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least the share ``agreement`` of
-            the views that see it.
+        agreement: a point belongs to the hull only if it is inside the silhouettes of at least this fraction, in (0,
+            1], of the views that see it.
         needed: minimum number of views that must see a hull point.
     """
 
@@ -71,7 +71,7 @@ class Silhouettes:
 
         Raises:
             ValueError: if the number of masks is below 2 or differs from the number of cameras, a mask and its camera
-                differ in size, or a share is outside (0, 1].
+                differ in size, or ``agreement`` or ``least_views`` is outside (0, 1].
         """
         if len(masks) != len(cameras) or len(masks) < 2:
             raise ValueError(
@@ -90,19 +90,20 @@ class Silhouettes:
         return replace(self, views=remaining, needed=min(self.needed, len(remaining)))
 
     def tolerated_outliers(self, seen: NDArray[np.integer]) -> NDArray[np.int64]:
-        """For each point, the maximum number of views that can exclude the point without removing it from the hull.
+        """Return, for each point, the maximum number of views that can exclude it without removing it from the hull.
         ``seen`` is the number of views that see each point."""
         return np.floor((1 - self.agreement) * np.asarray(seen) + 1e-9).astype(np.int64)
 
     def may_contain_object(self, cells: Floats, size: float) -> NDArray[np.bool_]:
-        """(N,) bool, true for cells (3, N) of side length ``size`` that may intersect the object.
+        """Return a bool array (N,) that is True for cells (3, N) of side length ``size`` that may intersect the object.
 
         All other cells certainly do not intersect the object.
         """
         return np.concatenate([self._classify(chunk, size)[0] for chunk in chunks(cells)])
 
     def may_contain_surface(self, cells: Floats, size: float) -> NDArray[np.bool_]:
-        """(N,) bool, true for cells (3, N) of side length ``size`` that may intersect the surface.
+        """Return a bool array (N,) that is True for cells (3, N) of side length ``size`` that may intersect the
+        surface.
 
         All other cells certainly do not intersect the surface.
         """
@@ -110,8 +111,8 @@ class Silhouettes:
         return np.concatenate([maybe & ~inside for maybe, inside in classes])
 
     def _classify(self, cells: Floats, size: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Two (N,) bool arrays for cells (3, N): whether the cell may intersect the object, and whether it is certainly
-        inside the object."""
+        """Return two (N,) bool arrays for cells (3, N): whether the cell may intersect the object, and whether it is
+        certainly inside the object."""
         maybe = np.zeros(cells.shape[1], dtype=np.bool_)
         inside = np.zeros(cells.shape[1], dtype=np.bool_)
         alive = np.arange(cells.shape[1])
@@ -130,8 +131,8 @@ class Silhouettes:
         return maybe, inside
 
     def distance(self, xyz: Floats) -> tuple[Floats, NDArray[np.int16]]:
-        """Signed distance to the hull at points (3, N), and the deciding view of each point. The silhouette of the
-        deciding view determines the distance.
+        """Return the signed distance to the hull at points (3, N), and the deciding view of each point. The silhouette
+        of the deciding view determines the distance.
 
         Returns:
             distance: (N,) distance in world units, positive inside, or -inf if too few views see the point.
@@ -144,7 +145,7 @@ class Silhouettes:
         """Select the cells (3, N) of side length ``size`` whose centres are at most ``size / 2`` from the surface.
 
         The selected centres fill a slab of thickness ``size`` around the surface. For any slope of the surface, the
-        slab contains on average one centre per ``size ** 2`` of surface area. The number of selected cells is therefore
+        slab contains on average one centre per ``size ** 2`` of surface area, so the number of selected cells is
         proportional to the surface's area.
 
         Returns:
@@ -199,10 +200,11 @@ class Silhouettes:
 
 
 def view_distance(view: SilhouetteView, xyz: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Signed distances of points (3, N) to the silhouette of one view.
+    """Return the signed distances of points (3, N) to the silhouette of one view.
 
     Returns:
-        distances (N,) in world units, positive inside, and (N,) bool, true for points that the view sees.
+        distances (N,) in world units, positive inside, and a bool array (N,) that is True for points that the view
+        sees.
     """
     x, y, z = view.project(xyz)
     value = sample(view.distance, x, y, cv2.INTER_LINEAR)
@@ -212,8 +214,8 @@ def view_distance(view: SilhouetteView, xyz: Floats) -> tuple[Floats, NDArray[np
 
 
 def root_cells(lower: Array, upper: Array, size: float) -> Floats:
-    """Centres (3, N) float32 of cubes of side length ``size`` that cover a box. The grid of cubes is centred on the
-    box."""
+    """Return the centres (3, N) float32 of cubes of side length ``size`` that cover a box. The grid of cubes is centred
+    on the box."""
     counts = np.maximum(1, np.ceil((upper - lower) / size - 1e-6)).astype(int)
     middle = (lower + upper) / 2
     axes = [middle[i] + (np.arange(counts[i]) - (counts[i] - 1) / 2) * size for i in range(3)]
@@ -235,7 +237,7 @@ def chunks(cells: Floats) -> Iterator[Floats]:
 
 
 def interleaved_order(count: int) -> list[int]:
-    """The numbers 0 to count - 1, ordered such that successive cameras of a ring are far apart.
+    """Return the numbers 0 to count - 1, ordered such that successive cameras of a ring are far apart.
 
     The first few views then reject most cells, because they look from very different directions.
     """
@@ -253,8 +255,8 @@ def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts:
     - row 3: a part of the sphere may be in the image;
     - row 4: a part of the sphere may be in the image, and a part may project to the object.
 
-    Row 4 of ``counts`` is needed for spheres that lie at the image borders of many views. Row 0 of ``counts`` does not
-    count a view that sees only a part of the sphere, even if the visible part projects to the background.
+    Row 4 is needed for spheres that lie at the image borders of many views, because row 0 does not count a view that
+    sees only a part of the sphere, even if the visible part projects to the background.
     """
     x, y, z = view.project(cells)
     in_front = z > radius * np.float32(1.001)

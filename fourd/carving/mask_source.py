@@ -1,4 +1,4 @@
-"""The interface from which carving reads a capture. Tests and importers can implement this interface."""
+"""The interface through which carving reads a capture. Tests and importers can implement it."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ class MaskSource(Protocol):
         """Number of each frame in the whole capture. The first number may be greater than 0."""
 
     def mask(self, camera: int, frame: int) -> NDArray[np.uint8]:
-        """Matte (H, W) uint8; 255 is the object."""
+        """Return the matte (H, W) uint8; 255 is the object."""
 
     def image(self, camera: int, frame: int) -> NDArray[np.uint8]:
-        """RGB image (H, W, 3) uint8."""
+        """Return the RGB image (H, W, 3) uint8."""
 
 
 def frame_masks(capture: MaskSource, frame: int) -> list[NDArray[np.uint8]]:
-    """The masks of all cameras in one frame."""
+    """Return the masks of all cameras in one frame."""
     return [capture.mask(camera, frame) for camera in range(len(capture.cameras))]

@@ -1,4 +1,4 @@
-"""Detection of poor mattes. A matte is poor if the visual hull of the other views covers too little of it."""
+"""Detection of poor mattes, of which the visual hull of the other views covers too little."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from fourd.files import write_text_atomically
 from fourd.progress import Track, untracked
 
 POOR = 0.7
-"""A matte is reported as poor if the hull of the other views covers less than this share of the matte."""
+"""A matte is reported as poor if the hull of the other views covers less than this fraction of it."""
 MIN_KEPT = 1 / 3
-"""An error is raised if the hull of all views covers less than this share of the mattes' area."""
+"""An error is raised if the hull of all views covers less than this fraction of the mattes' area."""
 MAX_FRAMES = 48
 MAX_LINES = 8
 
@@ -32,12 +32,11 @@ class MatteQuality:
     Attributes:
         names: camera names.
         frames: frame numbers (F,) of the measured frames, as in the capture.
-        explained: (F, C) share in [0, 1] of each matte that the hull of the other views covers, or NaN for an empty
-            matte.
-        kept: (F, C) share in [0, 1] of each matte that the hull of all views covers, or NaN for an empty matte.
+        explained: (F, C) fraction of each matte that the hull of the other views covers, or NaN for an empty matte.
+        kept: (F, C) fraction of each matte that the hull of all views covers, or NaN for an empty matte.
         overlap: (F, C) intersection over union of each matte and the silhouette of the hull of all views, or NaN for an
             empty matte.
-        area: (F, C) share in [0, 1] of the image that each matte covers.
+        area: (F, C) fraction of the image that each matte covers.
     """
 
     names: tuple[str, ...]
@@ -49,13 +48,13 @@ class MatteQuality:
 
     @property
     def kept_share(self) -> float:
-        """Share in [0, 1] of the mattes' area that the hull of all views covers, or 1 if all mattes are empty."""
+        """Fraction of the mattes' area that the hull of all views covers, or 1 if all mattes are empty."""
         total = float(self.area.sum())
         return float(np.nansum(self.kept * self.area)) / total if total else 1.0
 
     def warnings(self) -> list[str]:
-        """One line of text for each run of consecutive frames in which the mattes of one view are poor. The line with
-        the smallest share comes first."""
+        """Return one line of text for each run of consecutive frames in which the mattes of one view are poor. The line
+        with the smallest covered fraction comes first."""
         found = sorted(self._poor_runs())
         lines = [
             f"{name}, {_frame_range(first, last)}: the hull of the other views covers {share:.0%} of this matte"
@@ -67,7 +66,7 @@ class MatteQuality:
 
     def _poor_runs(self) -> Iterator[tuple[float, str, int, int]]:
         """Yield one tuple for each run of consecutive frames in which the mattes of one view are poor: mean covered
-        share, camera name, first frame and last frame."""
+        fraction, camera name, first frame and last frame."""
         for index, name in enumerate(self.names):
             poor = self.explained[:, index] < POOR
             starts = np.flatnonzero(poor & ~np.r_[False, poor[:-1]])
@@ -88,7 +87,7 @@ class MatteQuality:
         )
 
     def save(self, path: Path) -> None:
-        """Write the shares to a JSON file, with null for empty mattes."""
+        """Write the fractions to a JSON file, with null for empty mattes."""
         tables = {
             name: [[None if np.isnan(value) else round(float(value), 4) for value in row] for row in table]
             for name, table in (("explained", self.explained), ("kept", self.kept), ("overlap", self.overlap))
@@ -108,7 +107,7 @@ def measure_mattes(
     """Measure how well the mattes agree with the visual hull, in at most ``max_frames`` evenly spaced frames of a
     capture.
 
-    With fewer than three cameras, the result is None. Two silhouettes nearly always have a common hull, so their
+    The result is None for fewer than three cameras: two silhouettes nearly always have a common hull, so their
     agreement does not show whether the mattes are correct. Frames are read one at a time.
     """
     if len(capture.cameras) < 3 or capture.frame_count == 0:

@@ -39,12 +39,11 @@ VERSION = 3
 MARGIN = 0.05
 MAX_BOUNDS_FRAMES = 120
 MIN_PARALLEL_SECONDS = 10.0
-"""Worker processes are started if one process would need at least this estimated time in seconds for the remaining
-frames. Starting worker processes takes some seconds."""
+"""Worker processes, which take some seconds to start, are used if one process would need at least this estimated time
+in seconds for the remaining frames."""
 INPUTS = ("masks/{camera}/*", ".fourd/mattes/{camera}/*", "images/{camera}/*", "videos/{camera}.*", "videos.json")
-"""Patterns of the files that carving reads from a capture. If a file changes, the carved points are no longer valid.
-The sizes and modification times of the files are therefore part of the key, which is a hash of all inputs of
-carving."""
+"""Patterns of the files that carving reads from a capture. If a file changes, the carved points are no longer valid, so
+the sizes and modification times of the files are part of the key, which is a hash of all inputs of carving."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,7 @@ def carve_capture(
     track: Track = untracked,
     workers: int = 1,
 ) -> Bounds:
-    """Carve every frame. Write ``FRAME.ply`` (xyz, rgb) for each frame, and ``bounds.json``, to ``out_folder``.
+    """Carve every frame, and write ``FRAME.ply`` (xyz, rgb) for each frame and ``bounds.json`` to ``out_folder``.
 
     FRAME is the six-digit frame number in the capture. Files are written atomically, and each process keeps only one
     frame in memory. If the capture and the settings are the same as in the last call, frames with a complete PLY file
@@ -82,17 +81,16 @@ def carve_capture(
         capture: cameras, images and masks.
         out_folder: folder for the files; it is created if missing.
         points: number of points per frame, at least 1.
-        agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least the share ``agreement`` of
-            the views that see it.
-        least_views: a share in (0, 1]. At least the share ``least_views`` of all views, and at least 3 views, must see
-            a hull point. If there are only 2 views, both must see the point.
+        agreement: a point belongs to the hull only if it is inside the silhouettes of at least this fraction, in (0,
+            1], of the views that see it.
+        least_views: a point belongs to the hull only if at least this fraction, in (0, 1], of all views, and at least 3
+            views, see it. If there are only 2 views, both must see it.
         trim: whether to remove protruding parts of the hull. The remaining hull still covers all silhouettes.
         inset: distance by which points are moved into the hull, in point spacings.
         seed: seed of the random order of the points.
         track: callback that reports progress.
-        workers: number of worker processes. Worker processes are started only if they save time, which is estimated
-            from the duration of the first frame. The capture must be picklable. The points do not depend on the number
-            of workers.
+        workers: number of worker processes, which are started only if they save time, as estimated from the duration of
+            the first frame. The capture must be picklable. The points do not depend on the number of workers.
 
     Returns:
         the bounding box of the points of all frames, with a margin of 5% of the longest side.
@@ -138,8 +136,8 @@ def read_bounds(folder: Path | str) -> Bounds:
 
 
 def settings_key(capture: MaskSource, settings: DataclassInstance) -> str:
-    """Hash the inputs of carving: settings, cameras, frame numbers and files. For each file, the name, the size and the
-    modification time are hashed."""
+    """Hash the inputs of carving: settings, cameras, frame numbers, and the name, size and modification time of each
+    file."""
     digest = hashlib.sha256(json.dumps([VERSION, asdict(settings), capture.frame_numbers]).encode())
     for name, camera in zip(capture.names, capture.cameras, strict=True):
         digest.update(f"{name} {camera.width} {camera.height}".encode())
@@ -155,9 +153,9 @@ def settings_key(capture: MaskSource, settings: DataclassInstance) -> str:
 def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key: str, track: Track) -> Bounds:
     """Return the search box in which the hull of each frame is carved.
 
-    If bounds.json contains the same ``key``, the search box is read from bounds.json. If the key differs or the file is
-    missing, the search box is computed and written to bounds.json. If the capture has more than MAX_BOUNDS_FRAMES
-    frames, only some frames are examined, and the margin of the box is three times as wide.
+    If bounds.json contains the same ``key``, the search box is read from it. If the key differs or the file is missing,
+    the search box is computed and written to bounds.json. If the capture has more than MAX_BOUNDS_FRAMES frames, only
+    some frames are examined, and the margin of the box is three times as wide.
     """
     state = _load(folder / BOUNDS_NAME, missing_is_empty=True)
     if state.get("key") == key:

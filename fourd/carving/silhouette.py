@@ -1,5 +1,4 @@
-"""A view of the object. A view consists of a camera and a signed distance image, which is computed from a soft
-matte."""
+"""A view of the object: a camera and a signed distance image, which is computed from a soft matte."""
 
 from __future__ import annotations
 
@@ -20,7 +19,7 @@ width and height are below 32,767."""
 
 MAX_SIDE_PX = 1024
 """Maximum length in pixels of the longer side of a matte's crop around the object. Larger crops are scaled down to this
-length, which limits the memory for large captures."""
+length to limit the memory for large captures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +35,7 @@ class SilhouetteView:
         offset: (3,) float32 homogeneous pixel coordinates of the origin.
         focal: geometric mean of the focal lengths in pixels.
         reach: upper bound of the distance in pixels by which the projection of a point at depth 1 moves if the point
-            moves by one world unit. The bound is valid for all points inside the image.
+            moves by one world unit; valid for all points inside the image.
         frame: left, top, right and bottom borders of the whole image, in pixel coordinates of the distance image.
         distance: (h, w) float32 signed distance to the silhouette in pixels, positive inside. For a point outside the
             crop, the value at the nearest pixel of the crop gives a lower bound of the distance to the object.
@@ -81,7 +80,8 @@ class SilhouetteView:
         )
 
     def project(self, xyz: Floats) -> tuple[Floats, Floats, Floats]:
-        """Pixel coordinates x and y and depths z of points (3, N). For points with z <= 0, x and y are undefined."""
+        """Return the pixel coordinates x and y and depths z of points (3, N). For points with z <= 0, x and y are
+        undefined."""
         x, y, z = self.matrix @ xyz + self.offset[:, None]
         inverse = 1 / np.where(np.abs(z) > 1e-12, z, np.float32(1e-12))
         x *= inverse
@@ -89,22 +89,23 @@ class SilhouetteView:
         return x, y, z
 
     def sees(self, x: Floats, y: Floats, z: Floats) -> NDArray[np.bool_]:
-        """(N,) bool, true for projected points that are inside the image and in front of the camera."""
+        """Return a bool array (N,) that is True for projected points that are inside the image and in front of the
+        camera."""
         left, top, right, bottom = self.frame
         return (z > 0) & (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
 
     def border_distance(self, x: Floats, y: Floats) -> Floats:
-        """Distance (N,) in pixels from each projected point to the nearest image border. The distance is negative
-        outside the image."""
+        """Return the distance (N,) in pixels from each projected point to the nearest image border, negative outside
+        the image."""
         left, top, right, bottom = (np.float32(side) for side in self.frame)
         return np.minimum(np.minimum(x - left, right - x), np.minimum(y - top, bottom - y))
 
 
 def _object_box(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
-    """Left, top, width and height of the bounding box of the object in ``mask``. The box has a margin and is clipped to
-    the image.
+    """Return the left, top, width and height of the bounding box of the object in ``mask``. The box has a margin and is
+    clipped to the image.
 
-    The margin is a sixteenth of the image's longer side plus 8 pixels. The margin makes the distances beside the object
+    The margin is a sixteenth of the image's longer side plus 8 pixels, so that the distances beside the object are
     exact enough to classify coarse cells.
     """
     left, top, width, height = cv2.boundingRect((mask >= 128).view(np.uint8))
@@ -117,12 +118,12 @@ def _object_box(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
 
 
 def signed_distance(mask: NDArray[np.uint8]) -> Floats:
-    """Signed distance (H, W) float32 in pixels to the contour of a soft matte (H, W) uint8. The contour is where the
-    matte has half its maximum.
+    """Return the signed distance (H, W) float32 in pixels to the contour of a soft matte (H, W) uint8. On the contour,
+    the matte has half its maximum.
 
-    In pixels next to the contour, the distance is set to m - 0.5, where m is the matte scaled to [0, 1]. Bilinear
-    samples of the distance are therefore 0 where bilinear samples of m are 0.5. The image border is not part of the
-    contour. The distance is -65,536 everywhere for an empty matte, and 65,536 for a full matte.
+    In pixels next to the contour, the distance is set to m - 0.5, where m is the matte scaled to [0, 1], so bilinear
+    samples of the distance are 0 where bilinear samples of m are 0.5. The image border is not part of the contour. The
+    distance is -65,536 everywhere for an empty matte, and 65,536 for a full matte.
     """
     inside = (mask >= 128).astype(np.uint8)
     far = float(1 << 16)
@@ -141,7 +142,7 @@ def signed_distance(mask: NDArray[np.uint8]) -> Floats:
 
 
 def sample(image: NDArray[np.float32] | NDArray[np.uint8], x: Floats, y: Floats, method: int) -> NDArray:
-    """Sample ``image`` (H, W[, C]) at pixel coordinates x (N,) and y (N,). The centres of pixels are at half integers.
+    """Sample ``image`` (H, W[, C]) at pixel coordinates x (N,) and y (N,). Pixel centres are at half integers.
 
     ``method`` is cv2.INTER_NEAREST or cv2.INTER_LINEAR. Positions outside the image get the value of the nearest border
     pixel. The result has the shape (N[, C]) and the image's dtype.

@@ -16,12 +16,13 @@ CANDIDATES = 1.3
 """Number of candidate cells for each requested point. More candidates make the density of the points more even, but the
 computation slower."""
 MIN_DEPTH = 0.7
-"""A move into the hull is acceptable if the moved point's distance from the surface is at least this share of the
-length of the move. At creases of the surface, the moved point is nearer to the surface than the length of the move."""
+"""A move into the hull is acceptable if the moved point's distance from the surface is at least this fraction of the
+length of the move. Moved points near creases of the surface are nearer to it than the length of the move."""
 
 
 def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -> Floats:
-    """Find the cells of side length ``size`` that may intersect the surface inside a box. Return their centres (3, N).
+    """Find the cells of side length ``size`` that may intersect the surface inside a box, and return their centres
+    (3, N).
 
     Larger cells are subdivided if they may intersect the surface. The finest cells, which have the side length
     ``size``, are not tested. The coordinates are relative to the origin of ``views``.
@@ -77,7 +78,8 @@ def move_inwards(views: Silhouettes, xyz: Floats, normals: Floats, inset: float)
 
 
 def distance_gradient(views: Silhouettes, xyz: Floats, deciding: NDArray[np.int16]) -> Floats:
-    """Gradient (3, N) of the signed distance to the deciding view's silhouette at points (3, N), in world coordinates.
+    """Return the gradient (3, N) of the signed distance to the deciding view's silhouette at points (3, N), in world
+    coordinates.
 
     The gradient points inwards, and its length is about 1.
     """
@@ -101,10 +103,10 @@ def distance_gradient(views: Silhouettes, xyz: Floats, deciding: NDArray[np.int1
 
 
 def thin_evenly(xyz: NDArray[np.float32], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Select ``count`` of the points (N, 3) such that their density is even. Return their indices in random order.
+    """Select ``count`` of the points (N, 3) such that their density is even, and return their indices in random order.
 
-    ``count`` is at most N. Points are removed in rounds. In each round, one point of each of the closest pairs is
-    removed. Because the order is random, the first M points are a uniform sample for every M.
+    ``count`` is at most N. In each of several rounds, one point of each of the closest pairs is removed. Because the
+    order is random, the first M points are a uniform sample for every M.
     """
     kept = np.arange(len(xyz))
     while len(kept) > count:

@@ -22,7 +22,7 @@ PATH_OR_URL: tyro.constructors.PrimitiveConstructorSpec[Location] = tyro.constru
     is_instance=lambda value: isinstance(value, Path | StorageUrl),
     str_from_instance=lambda value: [str(value)],
 )
-"""Converts a word of the command line to a path or to a URL."""
+"""Converts a command-line word to a path or to a URL."""
 
 CaptureLocation = tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="CAPTURE")]]
 SceneLocation = tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="SCENE")]]
@@ -31,9 +31,9 @@ OutLocation = Annotated[Location, PATH_OR_URL, tyro.conf.arg(aliases=["-o"])]
 
 @contextmanager
 def scene_or_copy(location: Location) -> Iterator[Location]:
-    """Yield ``location`` itself if it is a local path or the URL of a .4dv file. (Such a file can be read in parts,
-    without a copy.) Copy any other object in a store to a temporary local path, which exists until the block ends, and
-    yield the path."""
+    """Yield a path or URL from which the scene can be read. A local path and the URL of a .4dv file, which can be read
+    in parts, are yielded unchanged. Any other object in a store is copied to a temporary local path, which exists until
+    the block ends."""
     if isinstance(location, Path) or location.suffix.lower() == ".4dv":
         yield location
         return
@@ -42,7 +42,7 @@ def scene_or_copy(location: Location) -> Iterator[Location]:
 
 
 def transfer_progress() -> Track:
-    """Report the progress of copies from and to a store on stderr."""
+    """Return a function that reports the progress of copies from and to a store on stderr."""
     return Tracker(Terminal(stderr=True)).track
 
 

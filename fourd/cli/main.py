@@ -65,14 +65,13 @@ FILE_ERRORS = (
 """File system errors that the user can fix."""
 
 SYSTEM_FOLDERS = ("/proc", "/sys")
-"""Folders in which no program can create files. If a program tries to create a file there, Linux reports that the file
-does not exist."""
+"""Folders in which no program can create files. If a program tries, Linux reports that the file does not exist."""
 
 MAX_MESSAGE = 4000
-"""Maximum number of characters of an error message. The middle of a longer message, which may quote text from a file,
-is left out."""
+"""Maximum length of an error message in characters. If a message is longer, for example because it quotes a file, its
+middle is left out."""
 MAX_SHOWN = 200
-"""If an error message quotes a wrong name, it shows at most this number of characters of the name."""
+"""Maximum number of characters that an error message quotes from a wrong name."""
 
 LESS_MEMORY = "use smaller images or fewer points, or a machine with more memory"
 
@@ -143,8 +142,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def console_main() -> int:
-    """Run the command that the user typed in the terminal, and return the exit code. The process must exit
-    afterwards."""
+    """Run the command that the user typed in the terminal, and return the exit code. The process must exit afterwards,
+    because it ignores Ctrl-C from then on."""
     # torchrun ends its processes (ranks) with SIGTERM. A rank that waits for other ranks could not run a Python
     # handler, so ranks keep the default action.
     if rank_count() == 1:
@@ -152,14 +151,13 @@ def console_main() -> int:
     try:
         return main()
     finally:
-        # After the command has ended, Ctrl-C would only print a traceback while Python exits.
+        # Ctrl-C is ignored after the command has ended, because it would only print a traceback while Python exits.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _reader_is_gone() -> bool:
-    """Return whether the program that reads the standard output has ended. If the program has ended, all further output
-    is discarded."""
+    """Return whether the program that reads the standard output has ended. If it has, discard all further output."""
     try:
         output = sys.stdout.fileno()
     except OSError:
@@ -169,8 +167,7 @@ def _reader_is_gone() -> bool:
         poll.register(output, 0)
         if not any(event & select.POLLERR for _, event in poll.poll(0)):
             return False
-    # Python flushes the output a second time when it exits. With the null device as output, the second flush does not
-    # fail.
+    # When Python exits, it flushes the output a second time, which would fail again. It succeeds for the null device.
     os.dup2(os.open(os.devnull, os.O_WRONLY), output)
     return True
 
@@ -253,7 +250,7 @@ def _run(command: str, words: list[str]) -> int:
         raise UserError(f"expected a command among {', '.join(COMMANDS)}, got '{command}'; {hint}")
     module = importlib.import_module(f"fourd.cli.{COMMANDS[command]}")
     if signal.getsignal(signal.SIGTERM) is signal.default_int_handler:
-        handle_termination()  # pycolmap, for example, has replaced the handler in C++.
+        handle_termination()  # The import of a C++ library such as pycolmap may have replaced the handler.
     with one_line_of_usage():
         arguments = tyro.cli(
             module.Arguments,

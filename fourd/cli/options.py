@@ -27,8 +27,7 @@ def describe(*sentences: str) -> Any:
 
 
 def option(metavar: str, default: str, text: str | None = None) -> Any:
-    """Make an option with a default that is computed after parsing. --help shows the text ``default`` as the
-    default."""
+    """Make an option whose default is computed after parsing. --help shows the text ``default`` as the default."""
     return tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=f"(default: {default})")
 
 
@@ -106,7 +105,7 @@ HullLeastViews = Annotated[
 
 
 def check_hull_shares(agreement: float, least_views: float) -> None:
-    """Raise UserError if a share is not in (0, 1]."""
+    """Raise UserError if one of the fractions is not in (0, 1]."""
     for name, share in (("agreement", agreement), ("least-views", least_views)):
         if not 0 < share <= 1:
             raise UserError(f"--{name}: expected a share in (0, 1], got {share:g}")

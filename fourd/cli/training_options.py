@@ -18,7 +18,7 @@ from fourd.storage import local_path
 from fourd.training.config import TrainConfig
 
 SEEDING_METHODS = ("ngp", "sfm")
-"""Methods of background seeding. ``--background`` accepts a seeding method or a PLY file."""
+"""Methods that compute the initial background points. ``--background`` accepts one of them or a PLY file."""
 BACKGROUND_HELP = (
     "Source of the background points. Used only with --scene full. ngp: a radiance field fitted to the clean "
     "plates, guided by stereo depth maps. sfm: stereo depth maps only. FILE.ply: your own points, in world units."

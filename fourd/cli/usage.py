@@ -71,7 +71,7 @@ def condense(box: str) -> str:
 
 
 def _missing(lines: list[str]) -> list[str]:
-    """The names of the missing options.
+    """Return the names of the missing options.
 
     tyro lists each missing option as one line with its names, followed by lines of help that end with "(required)".
     """

@@ -25,8 +25,8 @@ _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
 def up_rotation(up: Array) -> list[float]:
-    """Unit quaternion (x, y, z, w) of the smallest rotation that maps the direction ``up`` (3,) to the +y axis. ``up``
-    must not be zero."""
+    """Return the unit quaternion (x, y, z, w) of the smallest rotation that maps the direction ``up`` (3,) to the +y
+    axis. ``up`` must not be zero."""
     x, y, z = np.asarray(up, np.float64) / np.linalg.norm(up)
     if y < -1 + 1e-12:
         return [1.0, 0.0, 0.0, 0.0]
@@ -35,13 +35,12 @@ def up_rotation(up: Array) -> list[float]:
 
 
 def srgb_to_linear(values: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-    """Convert sRGB colours in [0, 1] to linear colours in [0, 1] (IEC 61966-2-1). glTF requires linear vertex
-    colours."""
+    """Convert sRGB colours in [0, 1] to linear colours in [0, 1] (IEC 61966-2-1), which glTF requires for vertices."""
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
 def float_accessor(view: int, array: NDArray[np.floating[Any]], *, has_limits: bool = False) -> dict[str, Any]:
-    """The glTF accessor of an array (N, 1 to 4) that is stored as float32 in the buffer view ``view``.
+    """Return the glTF accessor of an array (N, 1 to 4) that is stored as float32 in the buffer view ``view``.
 
     If ``has_limits`` is true, the accessor contains the smallest and largest values, which glTF requires for positions.
     """
@@ -77,14 +76,12 @@ def write_parts(path: Path, document: Mapping[str, Any], parts: Sequence[bytes],
 
 
 def pad(part: bytes, filler: bytes) -> bytes:
-    """Append the byte ``filler`` until the length is a multiple of 4. glTF requires lengths that are multiples of 4 for
-    every part."""
+    """Append the byte ``filler`` until the length is a multiple of 4, which glTF requires for every part."""
     return part + filler * (-len(part) % 4)
 
 
 def write_header(stream: BinaryIO, document: Mapping[str, Any], binary_length: int, name: str) -> None:
-    """Write everything before the binary part. ``binary_length``, the length of the binary part in bytes, must be a
-    multiple of 4.
+    """Write everything before the binary part, whose length in bytes, ``binary_length``, must be a multiple of 4.
 
     Raises:
         UserError: if the file would be larger than 4 GiB, the limit of the format. The error message starts with

@@ -1,9 +1,8 @@
 """Reading of the YAML that OpenCV's class FileStorage writes: numbers, strings, lists of both, and matrices.
 
-OpenCV's own parser recurses without bound on nested content, and its reader of matrices corrupts memory if a matrix is
-incomplete. The reader in this module accepts only the types that calibrations contain, and takes a time proportional to
-the size of the file. A file is split into entries, and an entry is parsed when its value is requested. A file can
-therefore contain entries whose types the reader does not accept.
+This reader replaces OpenCV's own parser, which recurses without bound on nested content and corrupts memory if a matrix
+is incomplete. It accepts only the types that calibrations contain, and takes a time proportional to the size of the
+file. An entry is parsed only when its value is requested, so a file can also contain entries of other types.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ Item = float | str
 
 _NUMBER = re.compile(r"[-+]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|\.(?:inf|nan))", re.IGNORECASE)
 _GAP = re.compile(r"(?:\s++|#[^\n]*+)*+")
-"""Spaces and comments. With possessive quantifiers, the time of a failed match is proportional to the length of the
+"""Spaces and comments. The possessive quantifiers make the time of a failed match proportional to the length of the
 text."""
 _ITEM = re.compile(
     _GAP.pattern
@@ -42,7 +41,7 @@ class OpenCvYaml:
         text: the whole file.
 
     Raises:
-        ValueError: if the text does not have this format. The message describes what was found instead.
+        ValueError: if the text does not have this format. The message says what was found instead.
     """
 
     def __init__(self, text: str) -> None:
@@ -52,13 +51,14 @@ class OpenCvYaml:
         return key in self._entries
 
     def number(self, key: str) -> float | None:
-        """The number with the key ``key``, which may be infinite or NaN. None if the value is not a number."""
+        """Return the number with the key ``key``, which may be infinite or NaN, or None if the value is not a
+        number."""
         item = _single_item(self._entries[key])
         return item if isinstance(item, float) else None
 
     def items(self, key: str) -> list[Item] | None:
-        """The items of a list of numbers and strings, which is written in brackets or with one dash per line. None if
-        the value is not such a list.
+        """Return the items of a list of numbers and strings, which is written in brackets or with one dash per line, or
+        None if the value is not such a list.
 
         An item without quotes is a number if it looks like a number.
         """
@@ -69,8 +69,9 @@ class OpenCvYaml:
             return None
 
     def matrix(self, key: str) -> NDArray[np.float64] | None:
-        """The value with the key ``key`` as an array: a matrix (rows, columns), a matrix whose elements have several
-        channels (rows, columns, channels), or a list of numbers (N,). None if the value has none of these types.
+        """Return the value with the key ``key`` as an array: a matrix (rows, columns), a matrix whose elements have
+        several channels (rows, columns, channels), or a list of numbers (N,). Returns None if it has none of these
+        types.
 
         Raises:
             ValueError: if a matrix is incomplete.
@@ -94,7 +95,7 @@ class OpenCvYaml:
 
 
 def _entries(text: str) -> Iterator[tuple[str, str]]:
-    """The keys at the start of lines, and the text between each key and the next."""
+    """Yield the keys at the start of lines, each with the text up to the next key."""
     lines = text.split("\n")
     if not lines[0].startswith("%YAML"):
         raise ValueError("another format")
@@ -127,8 +128,8 @@ def _without_tag(text: str) -> str:
 
 
 def _fields(text: str) -> dict[str, str]:
-    """Split a map, such as a matrix, into its fields. Maps inside the map are not supported. The value of a field ends
-    at the next line with a key."""
+    """Split a map, such as a matrix, into its fields. The value of a field ends at the next line with a key. Nested
+    maps are not supported."""
     fields: dict[str, list[str]] = {}
     name = None
     for line in text.split("\n")[1:]:
@@ -147,7 +148,8 @@ def _single_item(text: str) -> Item | None:
 
 
 def _bracketed(text: str) -> list[Item]:
-    """The items of a list in brackets, such as ``[ 1, "a" ]``. Raises ValueError if the text is not such a list."""
+    """Return the items of a list in brackets, such as ``[ 1, "a" ]``. Raises ValueError if the text is not such a
+    list."""
     head, bracket, body = text.partition("[")
     if head.strip() or not bracket:
         raise ValueError("expected a list in brackets")
@@ -172,7 +174,7 @@ def _gap_end(text: str, position: int) -> int:
 
 
 def _dashed(text: str) -> list[Item]:
-    """The items of lines such as ``  - "a"``. Raises ValueError if any line has a different form."""
+    """Return the items of lines such as ``  - "a"``. Raises ValueError if any line has a different form."""
     first, *lines = text.split("\n")
     items: list[Item] = []
     for line in lines:

@@ -1,6 +1,6 @@
 """Read and write coloured points in PLY files.
 
-The reader accepts ASCII files and binary files of both byte orders. The writer writes binary little-endian files.
+The reader accepts ASCII files and binary files of both byte orders; the writer writes binary little-endian files.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ def write_vertices(path: Path | str, rows: NDArray[Any]) -> None:
     """Write vertices as binary PLY, atomically.
 
     Args:
-        rows: structured array (N,), one field for each vertex property. The fields are little-endian float32 or uint8.
-            Each field becomes a PLY property with the field's name.
+        rows: structured array (N,). Each of its fields, little-endian float32 or uint8, becomes a PLY property of the
+            same name.
     """
     assert rows.dtype.names is not None
     words = {np.dtype("<f4"): "float", np.dtype("u1"): "uchar"}
@@ -74,8 +74,8 @@ def write_vertices(path: Path | str, rows: NDArray[Any]) -> None:
 def read_ply(path: Path | str) -> ColouredPoints:
     """Read the vertices of a PLY file, which may be ASCII or binary of either byte order.
 
-    Colours may have the type uchar, or float with values in [0, 1]. Points without colours get a medium grey. The
-    function skips all vertex properties except position and colour, and all elements after the vertices.
+    Colours may have the type uchar, or float with values in [0, 1]. Points without colours become medium grey. All
+    other vertex properties, and all elements after the vertices, are skipped.
 
     Raises:
         UserError: if the file is missing, is not a PLY file, is shorter than its header declares, lacks x, y or z, or
@@ -86,7 +86,7 @@ def read_ply(path: Path | str) -> ColouredPoints:
 
 
 def read_vertices(path: Path) -> NDArray[Any]:
-    """Read the vertices of a PLY file as a structured array (N,), one field for each property.
+    """Read the vertices of a PLY file as a structured array (N,) with one field for each property.
 
     Raises:
         UserError: in the same cases as :func:`read_ply`, but coordinates that are not finite cause no error.
@@ -131,8 +131,7 @@ def read_header(path: Path) -> PlyHeader:
 
 @dataclass(frozen=True)
 class FaceLayout:
-    """How faces are stored: the number of faces, and two NumPy types, one for the length of a face's list of vertices
-    and one for the vertex indices."""
+    """How faces are stored: their number, and the NumPy types of a face's vertex count and of its vertex indices."""
 
     count: int
     types: tuple[str, str]
@@ -145,8 +144,8 @@ class PlyHeader:
     Attributes:
         order: NumPy's character for the byte order ("<" or ">"), or None for ASCII files.
         count: number of vertices that the header declares.
-        properties: names and NumPy types of the vertices' properties.
-        faces: the faces, if they directly follow the vertices and have only their vertex indices as a property.
+        properties: names and NumPy types of the vertex properties.
+        faces: the faces, if they directly follow the vertices and have only vertex indices; otherwise None.
     """
 
     order: str | None

@@ -20,7 +20,7 @@ MIN_TOLD_FRAMES = 0.5
 
 
 def describe_pictures(videos: Mapping[str, Video]) -> list[str]:
-    """Notes on videos that are turned upright, converted from HDR or reduced, one line for each conversion."""
+    """Return notes on videos that are turned upright, converted from HDR or reduced, one line for each conversion."""
     notes = []
     for turn in (90, 180, 270):
         names = [name for name, video in videos.items() if video.index.turn == turn]
@@ -45,7 +45,7 @@ def describe_pictures(videos: Mapping[str, Video]) -> list[str]:
 
 
 def describe_clock(videos: Mapping[str, Video]) -> list[str]:
-    """Notes on frame rates, the error of frame times, unused frames and long keyframe intervals."""
+    """Return notes on frame rates, the error of frame times, unused frames and long keyframe intervals."""
     if not videos:
         return []
     rate = next(iter(videos.values())).rate

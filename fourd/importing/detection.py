@@ -105,7 +105,7 @@ def pick_format(name: str | None, source: Path) -> Format:
 
 
 def _has_frames(source: Path) -> bool:
-    """Whether the folder of a calibration also contains frames."""
+    """Return whether the folder of a calibration also contains frames."""
     return videos.looks_like(source if source.is_dir() else source.parent)
 
 

@@ -22,8 +22,8 @@ MAX_VALUE = 1e100
 """Maximum magnitude of a number in a calibration file. Larger numbers are treated as infinite, because their products
 may overflow."""
 FRAME_FOLDERS = (".", "videos", "images", "raw-2d", "videos-raw", "synchronized_videos")
-"""Folders of a source that may contain the cameras' frames. Earlier folders are preferred. Anipose uses the folders
-raw-2d and videos-raw. FreeMoCap uses the folder synchronized_videos."""
+"""Folders of a source that may contain the cameras' frames, in order of preference. Anipose uses the folders raw-2d and
+videos-raw. FreeMoCap uses the folder synchronized_videos."""
 CALIBRATION_FOLDER = re.compile("calib|intri|extri", re.IGNORECASE)
 """Pattern of the names of calibration folders. Images and videos in calibration folders show calibration boards, not
 the recording."""
@@ -123,10 +123,10 @@ def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
 def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Path) -> dict[str, str]:
     """Match the names of the cameras that have frames to the names in the calibration.
 
-    Equal names match. If no names are equal, two names match if their last numbers are equal, provided that the last
-    numbers of all calibrations differ. If there is still no match, a camera's name matches if it ends with a separator,
-    optionally "cam", and the calibration's name, such as 2019-08-02-vid01-camA and A. Returns the calibration's name
-    for each camera in ``found`` that has a calibration.
+    Equal names match. If no names are equal, names with equal last numbers match, provided that the last numbers of all
+    calibrations differ. If there is still no match, a camera's name matches if it ends with a separator, optionally
+    "cam", and the calibration's name: 2019-08-02-vid01-camA matches A. Returns the calibration's name for each camera
+    in ``found`` that has a calibration.
 
     Raises:
         UserError: when no camera has a calibration, or several videos have the same calibration.
@@ -159,16 +159,15 @@ def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Pa
 def join_calibrations(
     frames: Mapping[str, Frames], calibrations: Mapping[str, Camera], path: Path, mattes: Sequence[Path] = ()
 ) -> tuple[tuple[ImportedCamera, ...], list[str]]:
-    """Combine frames and calibrations, matched by :func:`match_names`. Returns the cameras, and notes.
-
-    The notes are about cameras without images, calibration or mattes.
+    """Combine frames and calibrations, matched by :func:`match_names`. Returns the cameras, and notes about cameras
+    without images, calibration or mattes.
 
     Args:
         frames: frames, keyed by camera name.
         calibrations: cameras, keyed by their names in the file ``path``.
         path: the calibration file, for error messages.
         mattes: folders that may contain a folder of mattes for each camera. The mattes of a camera are read from the
-            first folder that contains mattes of this camera.
+            first folder that contains any of them.
 
     Raises:
         UserError: when :func:`match_names` or :func:`find_mattes` raises UserError.
@@ -236,11 +235,12 @@ def make_camera(
 
 
 def _ends_with(name: str, camera: str) -> bool:
-    """Whether a video's name ends with a separator, optionally "cam", and a camera's name, such as -A or -camA."""
+    """Return whether a video's name ends with a separator, optionally "cam", and the camera's name, such as -A or -camA
+    for the camera A."""
     return re.search(rf"(?:^|[-_. ])(?:cam)?{re.escape(camera)}$", name) is not None
 
 
 def _last_number(name: str) -> int | None:
-    """The last number in a name, or None for a name without digits."""
+    """Return the last number in a name, or None for a name without digits."""
     digits = re.findall(r"\d+", name)
     return int(digits[-1]) if digits else None

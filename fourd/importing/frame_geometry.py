@@ -65,8 +65,8 @@ def _turn_distortion(distortion: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def reduced_indices(indices: Mapping[str, VideoIndex], reduce: float) -> dict[str, VideoIndex]:
-    """Return the indices of the videos after the width and height of their frames are multiplied by ``reduce`` (0 to
-    1)."""
+    """Return the indices of the videos with the width and height of their frames multiplied by ``reduce``, in (0,
+    1]."""
     return {name: index if reduce == 1 else index.reduce(reduce) for name, index in indices.items()}
 
 
@@ -75,9 +75,9 @@ def match_calibrations(
 ) -> tuple[tuple[ImportedCamera, ...], list[str]]:
     """Turn and reduce each calibration in the same way as the frames of its video.
 
-    Frames and calibrations have an orientation: landscape or portrait. With "auto", a calibration belongs to the stored
-    frames if the stored frames have the orientation of the calibration and the turned frames do not. In all other
-    cases, "auto" assumes that the calibration belongs to the turned frames, which OpenCV and video players show.
+    If ``meant`` is "auto", a calibration belongs to the stored frames if they have its orientation (landscape or
+    portrait) and the turned frames do not. In all other cases, it belongs to the turned frames, which OpenCV and video
+    players show.
 
     Args:
         cameras: the source's cameras.
@@ -113,7 +113,7 @@ def _turned(name: str, calibration: Camera, turn: int) -> Camera:
 
 
 def _is_for_stored(calibration: Camera, index: VideoIndex, meant: CalibratedFrames) -> tuple[bool, str]:
-    """Whether a calibration belongs to the stored frames of a turned video, and the reason."""
+    """Return whether a calibration belongs to the stored frames of a turned video, and the reason."""
     if meant != "auto":
         return meant == "stored", f"--calibrated-frames {meant}"
     width, height = calibration.width, calibration.height

@@ -17,16 +17,15 @@ REPORT = "report.json"
 
 
 def is_metric_calibration(folder: Path) -> bool:
-    """Whether ``fourd calibrate`` wrote the calibration in ``folder``. Calibrations of ``fourd calibrate`` are in
-    metres."""
+    """Return whether ``fourd calibrate`` wrote the calibration in ``folder``, so that it is in metres."""
     return (folder / REPORT).is_file()
 
 
 def apply_calibration(imported: Imported, format_name: str, folder: Path) -> Imported:
     """Add the calibrations in ``folder`` (intri.yml and extri.yml) to the cameras of a source without a calibration.
 
-    Cameras are matched by :func:`fourd.importing.folders.match_names`. The calibrations keep their image sizes. A later
-    step of the import compares the image sizes with the sizes of the videos.
+    Cameras are matched by :func:`fourd.importing.folders.match_names`. The calibrations keep their image sizes, which a
+    later step of the import compares with the video sizes.
 
     Raises:
         UserError: if the format has its own calibration, if the folder has no valid calibration, if the calibration of

@@ -19,7 +19,7 @@ class PictureFiles:
 
 @dataclass(frozen=True)
 class VideoFile:
-    """One video. Without an offset, frame n of the video is frame n of the capture."""
+    """One video. If it has no offset, frame n of the video is frame n of the capture."""
 
     path: Path
 
@@ -48,9 +48,8 @@ class ImportedCamera:
 
     Attributes:
         name: name that is unique in the source and consists of letters, digits, ``_``, ``-`` and ``.``.
-        calibration: pose, intrinsics and distortion with OpenCV axes, in metres if the source is metric. The width and
-            height of ``calibration`` are the image size at calibration. ``calibration`` is None if the source has no
-            calibration.
+        calibration: pose, intrinsics and distortion with OpenCV axes, in metres if the source is metric. Its width and
+            height are the image size at calibration. None if the source has no calibration.
         frames: the images.
         masks: mattes, 255 = object, one per frame, or None if the source has no mattes.
     """
@@ -77,5 +76,5 @@ class Imported:
 
 
 def video_files(cameras: Iterable[ImportedCamera]) -> dict[str, Path]:
-    """Paths of the videos, keyed by camera name. Cameras without a video are left out."""
+    """Return the paths of the videos, keyed by camera name. Cameras without a video are left out."""
     return {camera.name: camera.frames.path for camera in cameras if isinstance(camera.frames, VideoFile)}

@@ -48,7 +48,7 @@ METRIC_FORMATS = ("qualisys", "anipose", "actorshq", "dna-rendering")
 """Formats whose calibrations are in metres."""
 
 MAX_SAMPLE_FRAMES = 3
-"""To check a calibration of at most FEW_CAMERAS cameras, the images of this number of frames are matched."""
+"""Number of frames whose images are matched to check a calibration of at most FEW_CAMERAS cameras."""
 FEW_CAMERAS = 5
 """If there are more cameras than this number, the images of only one frame are matched. One frame then has enough
 matches, and matching three frames would take minutes."""
@@ -67,14 +67,14 @@ class ImportOptions:
         fps: frame rate of images in 1/s, or None if it is not known.
         sync_by: method of the estimate: "sound", "motion" or "auto". "auto" uses sound if all videos have recorded the
             same sound, and motion otherwise.
-        sound_at: position of the source of the sound in the world, for the correction of the travel time; see
+        sound_at: position of the sound source in the world, which is used to correct the sound's travel time; see
             :func:`fourd.importing.time_offsets.correct_sound_travel`.
         resize, centres: see :func:`fourd.calibration.ambiguities.resolve_ambiguities`.
         calibrate: calibrate from the images even if the source has a calibration.
         reduce: factor in (0, 1] that multiplies width and height of the frames of videos.
         calibrated_frames: frames of rotated videos that the calibrations belong to; see
             :func:`fourd.importing.frame_geometry.match_calibrations`.
-        distance: known distance between two cameras, which sets the unit.
+        distance: known distance between two cameras, which sets the scale of the world.
         board: chessboard in the first frames, which sets the world's origin and axes.
         calibration: folder with intri.yml and extri.yml for videos without a calibration.
     """
@@ -231,7 +231,7 @@ def _with_rate(imported: Imported, source: Path, options: ImportOptions) -> Impo
 
 
 def _read_indices(imported: Imported, out: Path, options: ImportOptions, track: Track) -> Indices:
-    """The indices of the videos, after the frame sizes are multiplied by the factor of the option --scale."""
+    """Return the indices of the videos, with the frame sizes multiplied by the factor of the option --scale."""
     return reduced_indices(cached_indices(video_files(imported.cameras), out, track), options.reduce)
 
 

@@ -53,7 +53,7 @@ class Layout:
     Attributes:
         format: format of the calibration.
         calibration: the calibration file.
-        frames: folder from which :func:`~fourd.importing.folders.find_frames` finds the frames.
+        frames: folder in which :func:`~fourd.importing.folders.find_frames` finds the frames.
         refused: one line for each file that looks like a calibration but is not used, with the reason.
     """
 
@@ -78,7 +78,7 @@ class Frames:
     refused: tuple[str, ...]
 
     def notes(self, source: Path) -> tuple[str, ...]:
-        """Notes that name the folder of the frames, and the calibration files that are not used."""
+        """Return notes that name the folder of the frames, and the calibration files that are not used."""
         return (*([f"frames: {self.folder}"] if self.folder != source else []), *_listed(self.refused))
 
 
@@ -120,7 +120,7 @@ def find_layout(source: Path, formats: Sequence[CalibrationFormat]) -> Layout | 
 
 
 def calibration_outside(source: Path, formats: Sequence[CalibrationFormat]) -> Path | None:
-    """Path of the calibration that :func:`find_layout` finds outside ``source``, or None."""
+    """Return the path of the calibration that :func:`find_layout` finds outside ``source``, or None."""
     try:
         found = find_layout(source, formats)
     except UserError:
@@ -131,7 +131,7 @@ def calibration_outside(source: Path, formats: Sequence[CalibrationFormat]) -> P
 
 
 def describe_refused(source: Path, formats: Sequence[CalibrationFormat]) -> str:
-    """One line that lists the files in ``source`` that look like calibrations; empty if there are none."""
+    """Return one line that lists the files in ``source`` that look like calibrations; empty if there are none."""
     if not source.is_dir():
         return ""
     paths = [path for path in _files_below(source, MAX_DEPTH) if _is_suspect(path)]
@@ -171,7 +171,7 @@ def _choose(
 
 
 def _find_recording(source: Path) -> Path | None:
-    """The folder below ``source`` that contains frames. Folders of calibrations are left out."""
+    """Return the folder below ``source`` that contains frames. Calibration folders are skipped."""
     folders = [source]
     for _ in range(MAX_DEPTH + 1):
         found = [folder for folder in folders if _has_frames(folder)]
@@ -196,7 +196,7 @@ def _has_frames(folder: Path) -> bool:
 
 
 def _files_below(folder: Path, depth: int) -> Iterator[Path]:
-    """Files in ``folder`` and its subfolders, level by level."""
+    """Yield the files in ``folder`` and its subfolders, level by level."""
     folders = [folder]
     for _ in range(depth + 1):
         for each in folders:
@@ -205,7 +205,7 @@ def _files_below(folder: Path, depth: int) -> Iterator[Path]:
 
 
 def _files_beside(folder: Path) -> Iterator[Path]:
-    """Files in ``folder`` and in its folders of calibrations."""
+    """Yield the files in ``folder`` and in its calibration folders."""
     yield from _files(folder)
     for child in _children(folder):
         # Other subfolders of ``folder`` are not searched, because they may contain other recordings.

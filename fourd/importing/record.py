@@ -1,5 +1,5 @@
-"""The record .fourd/import.json of an import's source and options. The record prevents an import from overwriting
-another capture."""
+"""The record .fourd/import.json of an import's source and options, which prevents an import from overwriting another
+capture."""
 
 from __future__ import annotations
 

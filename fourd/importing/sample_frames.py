@@ -30,7 +30,7 @@ class EncodedFrames:
         return decode_rgb_bytes(self.frames.read(frame), self.describe(frame))
 
     def describe(self, frame: int) -> str:
-        """Name of a frame for error messages."""
+        """Return the name of a frame for error messages."""
         return f"frame {frame}{self.frames.suffix}"
 
     def close(self) -> None:

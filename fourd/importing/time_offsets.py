@@ -38,8 +38,8 @@ PLOT = DERIVED / "sync.png"
 
 SyncMethod = Literal["auto", "sound", "motion"]
 SoundPosition = Literal["auto", "none", "centre"] | tuple[float, float, float]
-"""Position of the source of the sound in world units. "centre" is the point that the cameras face. "none" means no
-correction. "auto" means "centre" if the world is in metres, and "none" otherwise."""
+"""Position of the sound source in world units. "centre" is the point that the cameras face. "none" means no correction.
+"auto" means "centre" if the world is in metres, and "none" otherwise."""
 
 
 class NoCommonSoundError(UserError):
@@ -63,7 +63,7 @@ class Estimate:
     rate: float
 
     def is_sure(self, name: str) -> bool:
-        """Whether --apply-sync applies the estimated delay of a camera."""
+        """Return whether --apply-sync applies the estimated delay of a camera."""
         is_large = self.method == "sound" or abs(round(self.frames[name])) > UNRELIABLE_FRAMES
         return is_large and self.confidence[name] >= MIN_CONFIDENCE
 
@@ -78,12 +78,12 @@ def estimate_offsets_of(
 ) -> Estimate:
     """Estimate the delays of the cameras from sound or motion.
 
-    With "auto", the delays are estimated from sound if all videos have recorded the same sound, and from motion
-    otherwise. The log states the method and the reason for it.
+    If ``method`` is "auto", the delays are estimated from sound if all videos have recorded the same sound, and from
+    motion otherwise. The log states the method and the reason for it.
 
     Raises:
-        UserError: if there are too few frames, or if a frame or soundtrack cannot be decoded. With "sound", UserError
-            is also raised if a soundtrack is missing, is silent, or does not match the other soundtracks.
+        UserError: if there are too few frames, or if a frame or soundtrack cannot be decoded. If ``method`` is "sound",
+            UserError is also raised if a soundtrack is missing, is silent, or does not match the other soundtracks.
     """
     rate = float(min((index.fps for index in indices.values()), default=Fraction(1)))
     if method != "motion":
@@ -169,14 +169,13 @@ def correct_sound_travel(
 ) -> Estimate:
     """Correct estimated delays by the time that sound takes to travel to each calibrated camera.
 
-    A measured lag is the sum of an offset and a difference of travel times. Only the sum can be measured, so the
-    position of the source of the sound cannot be estimated. The user can specify the position. Otherwise, the point
-    that the cameras face is used.
+    A measured lag is the sum of an offset and a difference of travel times, so it does not determine the position of
+    the sound source. The user can specify the position; otherwise, the point that the cameras face is used.
 
     Args:
         estimate: delays of the videos. Delays from motion are returned unchanged.
         cameras: cameras with their calibrations.
-        position: position of the source of the sound.
+        position: position of the sound source.
         is_metric: whether one world unit is known to be one metre.
         log: called with one line that states the correction, or the reason why there is none.
     """
@@ -211,7 +210,7 @@ def correct_sound_travel(
 
 
 def applied_offsets(estimate: Estimate | None, given: Mapping[str, float], apply: bool) -> dict[str, float]:
-    """The offsets to apply, in frames. If ``apply`` is true, these are the estimated offsets of high confidence,
+    """Return the offsets to apply, in frames. If ``apply`` is true, these are the estimated offsets of high confidence,
     otherwise the user's offsets."""
     if estimate is None or not apply:
         return dict(given)
@@ -219,8 +218,8 @@ def applied_offsets(estimate: Estimate | None, given: Mapping[str, float], apply
 
 
 def describe_offsets(estimate: Estimate, apply: bool) -> Iterator[str]:
-    """Yield one line per camera with its offset and confidence. With ``apply``, the line also states whether the offset
-    is applied."""
+    """Yield one line per camera with its offset and confidence. If ``apply`` is true, the line also states whether the
+    offset is applied."""
     for name, frames in estimate.frames.items():
         state = ""
         if apply:

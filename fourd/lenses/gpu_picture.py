@@ -1,4 +1,4 @@
-"""Images of baked frames through a lens on a GPU: :func:`draw_through_lens_gpu`."""
+"""Images of the frames of a 4D scene through a lens, drawn on a GPU: :func:`draw_through_lens_gpu`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fourd.ops.pixel_filter.reference import filter_pixels_reference
 from fourd.ops.rays.cuda import GpuDiscTree
 
 RAYS_PER_CHUNK = 1 << 21
-"""Number of rays that are traced at once. The number is limited to save memory."""
+"""Number of rays that are traced at once, limited to save memory."""
 
 
 def draw_through_lens_gpu(
@@ -27,16 +27,15 @@ def draw_through_lens_gpu(
     layers: int | None = None,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Tensor:
-    """Draw a frame through a lens on the frame's device. Return RGB (H, W, 3) float32 in [0, 1] on the frame's device.
+    """Draw a frame through a lens on the frame's device. Returns RGB (H, W, 3) float32 in [0, 1] on the same device.
 
-    Up to rounding, the image equals the image that :func:`fourd.lenses.picture.draw_through_lens` draws without mirrors
-    and glass balls. The rays and the bounding volume tree of the points are made on the CPU. For frames in CPU memory,
+    Up to rounding, the image equals that of :func:`fourd.lenses.picture.draw_through_lens` without mirrors and glass
+    balls. The rays and the bounding volume hierarchy of the points are made on the CPU. If the frame is in CPU memory,
     the emulated kernels run.
 
     Args:
         frame: the frame.
-        camera: a pinhole camera without lens distortion. The camera determines the position, the axes and the image
-            size.
+        camera: a pinhole camera without lens distortion, which determines the position, the axes and the image size.
         manifest: description of the scene.
         lens: the lens.
         layers: maximum number K of points that are composited for each ray; None for the scene's value.

@@ -1,4 +1,4 @@
-"""Mirrors and glass in a scene: where rays meet them, and the rays that leave them."""
+"""Inserts, which are mirrors and glass balls in a scene: where rays meet them, and the rays that leave them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _GAP = 1e-4
-"""Distance of a new ray's origin from the surface, as a share of the radius of the insert."""
+"""Distance of a new ray's origin from the surface, as a fraction of the radius of the insert."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class MirrorFloor:
         normal: (3,) unit normal of the reflecting side. It points from the mirror towards the objects that the mirror
             reflects.
         radius: radius in world units, above 0.
-        reflectivity: share of the light that is reflected, from 0 to 1. The rest of the light comes from the floor.
+        reflectivity: fraction of the light that is reflected, from 0 to 1. The rest of the light comes from the floor.
         colour: RGB colour of the floor, in [0, 1].
     """
 
@@ -52,7 +52,7 @@ class MirrorFloor:
         return np.where((away < 0) & (height > 0) & (distance <= self.radius), t, np.inf)
 
     def leave(self, points: Array, directions: Array) -> tuple[list[Branch], Array]:
-        """For the rays that arrive at ``points``, return the reflected rays, and the light (R, 3) that comes from the
+        """Return the reflections of the rays that arrive at ``points``, and the light (R, 3) that comes from the
         floor."""
         reflected = directions - 2 * (directions @ self.normal)[:, None] * self.normal
         share = np.full(len(points), self.reflectivity)
@@ -62,7 +62,7 @@ class MirrorFloor:
 
 @dataclass(frozen=True)
 class GlassBall:
-    """A ball of clear glass. Refraction follows Snell's law. The reflected share follows Schlick's approximation of
+    """A ball of clear glass. Refraction follows Snell's law. The reflectance follows Schlick's approximation of
     Fresnel's equations.
 
     Attributes:

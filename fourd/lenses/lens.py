@@ -1,4 +1,4 @@
-"""Lenses. A lens determines the rays of an image."""
+"""Lenses, which determine the rays of an image."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class RayBundle:
 
 @dataclass(frozen=True)
 class Pinhole:
-    """The camera without an additional lens. Each pixel has ``samples`` x ``samples`` rays."""
+    """The plain pinhole camera. Each pixel has ``samples`` x ``samples`` rays."""
 
     samples: int = 1
 
@@ -53,8 +53,8 @@ class Fisheye:
     its ray and the viewing direction.
 
     Attributes:
-        fov_deg: field of view in degrees, above 0 and at most 360. The field of view is the angle across the largest
-            circle that fits in the image. Pixels outside the circle stay black.
+        fov_deg: field of view in degrees, above 0 and at most 360: the angle across the largest circle that fits in the
+            image. Pixels outside the circle stay black.
         samples: number of rays along each side of a pixel. A pixel has samples * samples rays.
     """
 
@@ -82,8 +82,8 @@ class Fisheye:
 @dataclass(frozen=True)
 class Panorama:
     """An equirectangular panorama: the columns span 360 degrees around the camera's vertical axis, and the rows span
-    180 degrees from top to bottom. The viewing direction is in the middle. Viewers for headsets can open
-    equirectangular images.
+    180 degrees from top to bottom. The viewing direction is in the middle. VR headset viewers can open equirectangular
+    images.
 
     Attributes:
         samples: number of rays along each side of a pixel. A pixel has samples * samples rays.
@@ -109,8 +109,8 @@ class ThinLens:
     Attributes:
         aperture: diameter of the lens in world units, at least 0.
         focus: depth of the plane in focus in world units, above 0.
-        rays_per_pixel: number of rays per pixel, at least 1. The rays are spread over the lens and over the pixel.
-        seed: seed of the random positions of the rays. The positions are the same in all images of a video.
+        rays_per_pixel: number of rays per pixel, at least 1. They are spread over the lens and over the pixel.
+        seed: seed of the random positions of the rays, which are the same in all images of a video.
     """
 
     aperture: float

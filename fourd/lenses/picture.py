@@ -1,4 +1,4 @@
-"""Pictures of baked frames through a lens: :func:`draw_through_lens`."""
+"""Images of the frames of a 4D scene through a lens: :func:`draw_through_lens`."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from fourd.ops.rays.discs import DiscTree
 Array = NDArray[np.float64]
 
 MAX_BOUNCES = 3
-"""Maximum number of inserts (mirrors or glass balls) that a ray meets on its way. If the ray would meet one more
-insert, the background is drawn in place of that insert."""
+"""Maximum number of inserts (mirrors or glass balls) that a ray meets on its way. If it meets one more, the background
+is drawn in place of that insert."""
 RAYS_PER_CHUNK = 1 << 18
-"""Number of rays that are traced at once. The number is limited to save memory."""
+"""Number of rays that are traced at once, limited to save memory."""
 MIN_SHARE = 1 / 512
-"""A ray that continues from an insert is traced only if it contributes more than this share of the light of the
-previous ray."""
+"""A ray that continues from an insert is traced only if it contributes more than this fraction of the previous ray's
+light."""
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,7 @@ def draw_through_lens(
 
     Args:
         frame: a frame whose values are all finite.
-        camera: a pinhole camera without lens distortion. The camera determines the position, the axes and the image
-            size.
+        camera: a pinhole camera without lens distortion, which determines the position, the axes and the image size.
         lens: the lens. Images with one ray in each pixel are filtered by the scene's pixel filter.
         inserts: mirrors and glass balls in the scene.
         layers: maximum number K of points that are composited for each ray; None for the scene's value.

@@ -14,15 +14,15 @@ Scalar = TypeVar("Scalar", np.uint8, np.float32)
 
 
 def channel_sum(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Sum (...,) of the three channels of an array (..., 3)."""
+    """Return the sum (...,) of the three channels of an array (..., 3)."""
     return np.asarray(picture[..., 0] + picture[..., 1] + picture[..., 2], np.float32)
 
 
 def channel_max(picture: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Maximum (...,) of the three channels of an array (..., 3)."""
+    """Return the maximum (...,) of the three channels of an array (..., 3)."""
     return np.maximum(np.maximum(picture[..., 0], picture[..., 1]), picture[..., 2])
 
 
 def channel_min(picture: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Minimum (...,) of the three channels of an array (..., 3)."""
+    """Return the minimum (...,) of the three channels of an array (..., 3)."""
     return np.minimum(np.minimum(picture[..., 0], picture[..., 1]), picture[..., 2])

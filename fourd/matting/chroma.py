@@ -1,8 +1,8 @@
 """Chroma keying: mattes in front of a screen of one colour, robust to uneven light and shadows.
 
-Colours are split into luma Y and chroma (Cb, Cr). Illumination scales luma and chroma by the same factor. The screen's
-chroma is therefore scaled to each pixel's luma and compared with the pixel's chroma. Pixels whose chroma differs from
-the screen's chroma are the subject.
+Colours are split into luma Y and chroma (Cb, Cr). Illumination scales luma and chroma by the same factor, so the
+screen's chroma is scaled to each pixel's luma before it is compared with the pixel's chroma. Pixels whose chroma
+differs from the screen's chroma are the subject.
 """
 
 from __future__ import annotations
@@ -30,20 +30,22 @@ MIN_CHROMA = 28.0
 Screen colours with less chroma cannot be separated from noise and from reflections on the subject.
 """
 MIN_BORDER_SHARE = 0.5
-"""At least this share of the images' border pixels must have the screen's hue."""
+"""At least this fraction of the images' border pixels must have the screen's hue."""
 BORDER = 0.08
-"""Width of the border as a share of the image's shorter side."""
+"""Width of the border as a fraction of the image's shorter side."""
 HUE_BINS = 72
 HUE_TOLERANCE_DEG = 15.0
 MAX_SPREAD = 0.3
 DEFAULT_SPREAD = 0.15
 SUBJECT_DISTANCE = 0.4
-"""A pixel can be the subject only if its :func:`screen_distance` is at least this value (0 is the screen, 1 is grey).
+"""A pixel can belong to the subject only if its :func:`screen_distance` is at least this value
+(0 is the screen, 1 is grey).
 
 The value is below 0.5, so that the matte includes edge pixels of which the subject covers slightly less than one half.
 """
 SPREAD_FACTOR = 1.6
-"""A pixel can be the subject only if its :func:`screen_distance` is at least this multiple of the screen's spread."""
+"""A pixel can belong to the subject only if its :func:`screen_distance` is at least this multiple of the screen's
+spread."""
 MAX_SAMPLES = 20_000
 """Approximate number of border pixels sampled per image."""
 
@@ -124,7 +126,7 @@ def chroma_matte(rgb: Picture, screen: ScreenColour) -> Picture:
 
 
 def screen_distance(rgb: Picture, screen: ScreenColour) -> Floats:
-    """Chroma distance (...) float32 between colours (..., 3) and the screen, independent of illumination.
+    """Return the chroma distance (...) float32 between colours (..., 3) and the screen, independent of illumination.
 
     The distance is 0 for the screen's colour, 1 for grey, and above 1 for opposite hues.
     """
@@ -143,7 +145,7 @@ def _luma_chroma(rgb: NDArray[np.generic]) -> tuple[Floats, Floats]:
 
 
 def _border(picture: Picture) -> Picture:
-    """Colours (N, 3) of the image's border pixels, evenly subsampled to about MAX_SAMPLES."""
+    """Return the colours (N, 3) of the image's border pixels, evenly subsampled to about MAX_SAMPLES."""
     height, width = picture.shape[:2]
     inner = np.zeros((height, width), bool)
     margin = max(1, round(BORDER * min(height, width)))

@@ -22,13 +22,13 @@ CELL_HEIGHT = 240
 CELL_WIDTH = 240
 """Maximum width of an image or a cut-out on the sheet, in pixels. CELL_HEIGHT is the maximum height."""
 MARGIN = 0.12
-"""Margin around the bounding box of the mattes, as a share of the box's longer side.
+"""Margin around the bounding box of the mattes, as a fraction of the box's longer side.
 
 Limbs that a matte misses remain visible in the margin.
 """
 MIN_ALPHA = 8
-"""The bounding box contains all pixels whose matte value (0 to 255) is at least this value. The value is low, so that
-the box includes faint errors of the mattes."""
+"""The bounding box contains all pixels whose matte value (0 to 255) is at least this value, which is low, so that the
+box includes faint matte errors."""
 GAP_PX = 4
 CAPTION_PX = 16
 MIN_WIDTH_PX = 120
@@ -36,8 +36,7 @@ MIN_WIDTH_PX = 120
 SHEET_COLOUR = (32, 32, 32)
 CAPTION_COLOUR = (235, 235, 235)
 FLAT_COLOURS = ((0, 220, 0), (255, 0, 255), (0, 80, 255))
-"""Candidates for the RGB background colour of cut-outs. All candidates differ from black, from white and from skin
-colours."""
+"""Candidates for the RGB background colour of cut-outs, which differ from black, white and skin colours."""
 NEAREST_QUANTILE = 0.1
 
 
@@ -51,9 +50,9 @@ def write_contact_sheet(
     """Write a PNG with one row per camera and one column per frame.
 
     Each tile shows an image above its cut-out. All tiles of a row are cropped to the bounding box of the row's mattes
-    plus a margin. If all mattes of a row are empty, the tiles of the row show full images. Cut-outs are composited over
-    the colour that differs most from the subject. Captions show camera names and the capture's frame numbers. Only the
-    contact sheet and one image are in memory at a time.
+    plus a margin. If all mattes of a row are empty, its tiles show full images. Cut-outs are composited over the colour
+    that differs most from the subject. Captions show camera names and the capture's frame numbers. Only the contact
+    sheet and one image are in memory at a time.
 
     Args:
         capture: capture with mattes.
@@ -88,7 +87,7 @@ def _row(capture: Capture, camera: int, frames: Sequence[int], flat: Picture) ->
 
 
 def _cell(capture: Capture, camera: int, frame: int, box: Box, flat: Picture) -> Picture:
-    """One tile of the sheet: caption, image and cut-out, stacked vertically."""
+    """Return one tile of the sheet: caption, image and cut-out, stacked vertically."""
     picture = _fit_cell(capture.image(camera, frame)[box])
     alpha = _fit_cell(capture.mask(camera, frame)[box])[..., None] / np.float32(255)
     cutout = np.asarray(alpha * picture + (1 - alpha) * flat + 0.5, np.uint8)
@@ -103,7 +102,8 @@ def _caption(text: str, width: int) -> Picture:
 
 
 def _common_box(capture: Capture, camera: int, frames: Sequence[int]) -> Box:
-    """Bounding box of a camera's mattes plus a margin, as slices, or the full image if all mattes are empty."""
+    """Return the bounding box of a camera's mattes plus a margin, as slices, or the full image if all mattes are
+    empty."""
     view = capture.cameras[camera]
     filled = np.zeros((view.height, view.width), bool)
     for frame in frames:
@@ -119,8 +119,7 @@ def _common_box(capture: Capture, camera: int, frames: Sequence[int]) -> Box:
 def _flat_colour(capture: Capture, cameras: Sequence[int], frames: Sequence[int]) -> Picture:
     """Choose the colour (3,) uint8 of FLAT_COLOURS that differs most from the subject.
 
-    For each candidate, the 10% quantile of its RGB distances to the subject's pixels is computed. The candidate with
-    the largest quantile is chosen.
+    This is the candidate with the largest 10% quantile of its RGB distances to the subject's pixels.
     """
     frame = frames[len(frames) // 2]
     colours = []
@@ -149,7 +148,7 @@ def _pad(picture: Picture, width: int) -> Picture:
 
 
 def _stack(pictures: Sequence[Picture], axis: int) -> Picture:
-    """Concatenate images along ``axis``, with gaps between the images.
+    """Concatenate images along ``axis``, with gaps between them.
 
     Along the other image axis, all images must have the same size.
     """

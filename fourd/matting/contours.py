@@ -19,12 +19,12 @@ from fourd.progress import Track, untracked
 
 FRAMES = 5
 SHIFT = 0.01
-"""Length by which contours are shifted, as a share of the longer image side. The errors of correct contours are smaller
-than this length."""
+"""Length by which contours are shifted, as a fraction of the longer image side. It is larger than the errors of correct
+contours."""
 MIN_SHIFT_PX = 3
 MIN_CONTOUR_PX = 40
 MAX_FITTING = 0.25
-"""A camera is reported if at most this share of its mattes follows the edges of the images."""
+"""A camera is reported if at most this fraction of its mattes follows the edges of the images."""
 MIN_MATTES = 2
 
 
@@ -62,7 +62,7 @@ def find_foreign_mattes(path: Path | str, track: Track = untracked) -> list[str]
 
 
 def fits_image(picture: NDArray[np.uint8], matte: NDArray[np.uint8]) -> bool | None:
-    """Whether the contour of ``matte`` (H, W) follows edges of ``picture`` (H, W, 3); None if the contour is too
+    """Return whether the contour of ``matte`` (H, W) follows edges of ``picture`` (H, W, 3); None if the contour is too
     short."""
     height, width = matte.shape
     shift = max(MIN_SHIFT_PX, round(SHIFT * max(height, width)))

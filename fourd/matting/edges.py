@@ -15,16 +15,16 @@ Flags = NDArray[np.bool_]
 SMOOTHING = 2.0
 COLOUR_EDGE = 10.0
 BAND = 1 / 400
-"""Half the width of the soft edge, as a share of the image's longest side."""
+"""Half the width of the soft edge, as a fraction of the image's longest side."""
 MIN_REGION_SHARE = 1 / 300
-"""Minimum area of a connected region or hole, as a share of the subject's area. Regions below this area are removed,
-and holes below this area are filled."""
+"""Minimum area of a connected region or hole, as a fraction of the subject's area. Smaller regions are removed, and
+smaller holes are filled."""
 MARGIN_PX = 16
 NOISE_VARIANCE = np.float32(16.0)
 """Variance of the difference between a pixel's value and the mixture of subject and background, in squared 8-bit
 values.
 
-The variance accounts for camera noise and image compression.
+It accounts for camera noise and image compression.
 """
 SUBJECT_VARIANCE = np.float32(60.0)
 """Variance added to the subject's local colour variance, because shading changes the colours towards the edge."""
@@ -33,19 +33,18 @@ NEARBY_VARIANCE = np.float32(12.0)
 pixels."""
 PLATE_VARIANCE = np.float32(9.0)
 SHADING_DEVIATION = np.float32(0.1)
-"""Standard deviation of the light on the edge of the subject, as a share of the light on nearby parts of the subject.
-The deviation accounts for curved surfaces, which become darker towards their contour. Without this deviation, a dark
-pixel of the subject would look like a mixture with a dark background."""
+"""Standard deviation of the light on the edge of the subject, as a fraction of the light on nearby parts of the
+subject. It accounts for curved surfaces, which become darker towards their contour. Without it, a dark pixel of the
+subject would look like a mixture with a dark background."""
 CHROMA_VARIANCE = np.float32(0.1)
-"""Variance of a pixel's chroma, as a share of the squared difference in chroma between subject and background. JPEG
+"""Variance of a pixel's chroma, as a fraction of the squared difference in chroma between subject and background. JPEG
 images and videos store chroma at half the resolution, so that chroma is blurred across the edge."""
 NORMALISER_WEIGHT = np.float32(0.3)
-"""Weight of the logarithm of the variance in the log-likelihood of a pixel's colour. The variance of the subject's
-colours is a rough estimate that is larger than the variance of the background's colours. With weight 1, this
-overestimate would move the edge into the subject."""
+"""Weight of the logarithm of the variance in the log-likelihood of a pixel's colour. With weight 1, the edge would move
+into the subject, because the variance of the subject's colours is a rough overestimate."""
 PRIOR_DEVIATIONS = (0.6, 0.4, 0.25)
 """Standard deviation of alpha around the blurred mask, one value for each pass that estimates alpha. Each pass corrects
-the position of the mask. The next pass estimates the colours on both sides of the edge from the corrected mask. The
+the position of the mask, and the next pass estimates the colours on both sides of the edge from the corrected mask. The
 small deviation of the last pass reduces noise."""
 ALPHAS = 11
 """Number of values from 0 to 1 at which the posterior of alpha is evaluated."""
@@ -53,8 +52,8 @@ SHARPENING_SIGMA = 0.6
 """Standard deviation of the Gaussian that averages alpha along the edge, as a multiple of half the width of the soft
 edge."""
 SHARPENING_GAIN = np.float32(2.0)
-"""Factor that increases the contrast of the averaged alpha. Without this factor, the edge would be too soft, because
-alpha is the mean of a posterior."""
+"""Factor that increases the contrast of the averaged alpha. Without it, the edge would be too soft, because alpha is
+the mean of a posterior."""
 MIN_NEARBY = 0.005
 MIN_CONFIDENCE = 0.5
 """A given background colour is used to estimate alpha only if its confidence is above this value."""
@@ -94,10 +93,10 @@ def refine_matte(log_odds: Floats, rgb: Picture, background: Floats | None = Non
 def estimate_edge_alpha(rgb: Picture, subject: Picture, radius: int, background: Floats | None = None) -> Floats:
     """Estimate alpha (H, W) in [0, 1] near the edge of a binary mask (H, W) uint8, 1 = subject.
 
-    The colour of an edge pixel is modelled as a mixture of the subject's colour and the background's colour. Both
-    colours have Gaussian distributions. Alpha is the mean of its posterior, as in Bayesian matting (Chuang et al.
-    2001). The prior of alpha is a Gaussian around the blurred mask. If subject and background have similar colours, the
-    mask therefore determines alpha. The likelihood also allows for the shading of the subject and for blurred chroma.
+    The colour of an edge pixel is modelled as a mixture of the subject's colour and the background's colour, which both
+    have Gaussian distributions. Alpha is the mean of its posterior, as in Bayesian matting (Chuang et al. 2001). The
+    prior of alpha is a Gaussian around the blurred mask, so the mask determines alpha where subject and background have
+    similar colours. The likelihood also allows for the shading of the subject and for blurred chroma.
 
     The subject's colour is a local mean inside the mask. The background's colour is a local mean outside the mask, or
     the colour in ``background`` (H, W, 4) where the confidence is high. Alpha differs from the mask only at pixels
@@ -118,8 +117,8 @@ def estimate_edge_alpha(rgb: Picture, subject: Picture, radius: int, background:
 def _mean_alpha(
     rgb: Picture, mask: Picture, edge: Flags, radius: int, background: Floats | None, deviation: float
 ) -> Floats:
-    """Alpha (H, W). Where ``edge`` (H, W) is true, near the edge of a binary mask, alpha is the mean of its posterior.
-    In all other pixels, alpha equals the mask.
+    """Return alpha (H, W): the mean of its posterior where ``edge`` (H, W) is true, near the edge of a binary mask, and
+    the mask's value in all other pixels.
 
     ``deviation`` is the standard deviation of alpha around the blurred mask.
     """
@@ -150,14 +149,14 @@ def _mean_alpha(
 def _posterior_alpha(
     value: Floats, front: tuple[Floats, Floats], back: tuple[Floats, Floats], prior: Floats, deviation: float
 ) -> Floats:
-    """Posterior mean (N,) of alpha for the colours ``value`` (N, 3).
+    """Return the posterior mean (N,) of alpha for the colours ``value`` (N, 3).
 
     ``front`` contains the mean and the variance (N, 3) of the subject's colour at each pixel, and ``back`` contains the
     same values for the background's colour. ``deviation`` is the standard deviation of alpha around ``prior`` (N,).
 
-    The light on the subject has a Gaussian distribution. The covariance of a colour is therefore the sum of a diagonal
-    matrix and the outer product of one vector with itself. The inverse and the determinant of the covariance follow
-    from the Sherman-Morrison formula and the matrix determinant lemma.
+    The light on the subject has a Gaussian distribution, so the covariance of a colour is the sum of a diagonal matrix
+    and the outer product of one vector with itself. Its inverse and determinant follow from the Sherman-Morrison
+    formula and the matrix determinant lemma.
     """
     value, front_mean, back_mean = value @ LUMA_CHROMA.T, front[0] @ LUMA_CHROMA.T, back[0] @ LUMA_CHROMA.T
     front_variance, back_variance = front[1] @ np.square(LUMA_CHROMA.T), back[1] @ np.square(LUMA_CHROMA.T)
@@ -184,8 +183,8 @@ def _posterior_alpha(
 
 
 def _local_colours(value: Floats, mask: Floats, deviation_px: float) -> tuple[Floats, Floats, Floats]:
-    """Gaussian-weighted mean and variance (H, W, 3) of the colours of nearby pixels in ``mask``, and the sum of
-    weights."""
+    """Return the Gaussian-weighted mean and variance (H, W, 3) of the colours of nearby pixels in ``mask``, and the sum
+    of weights."""
 
     def blur(plane: Floats) -> Floats:
         return np.asarray(cv2.GaussianBlur(plane, (0, 0), deviation_px), np.float32)
@@ -215,7 +214,8 @@ def _remove_small_components(picture: Picture, min_area: float) -> Picture:
 
 
 def _subject_window(log_odds: Floats, height: int, width: int) -> tuple[slice, slice] | None:
-    """Bounding box of the subject plus a margin, in full-resolution pixels, or None if no pixel is the subject."""
+    """Return the bounding box of the subject plus a margin, in full-resolution pixels, or None if no pixel shows the
+    subject."""
     left, top, box_width, box_height = cv2.boundingRect((log_odds > 0).astype(np.uint8))
     if box_width == 0:
         return None

@@ -18,7 +18,7 @@ Picture = NDArray[np.uint8]
 
 
 def find_masks(folder: Path, capture: Capture, frames: list[int]) -> dict[tuple[int, int], Path]:
-    """Paths of the masks of the frames ``frames`` in all cameras, keyed by camera index and frame index.
+    """Return the paths of all cameras' masks for ``frames``, keyed by camera index and frame index.
 
     Raises:
         UserError: if the folder or a mask is missing. The message names the first missing file.

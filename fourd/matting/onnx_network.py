@@ -104,7 +104,7 @@ class OnnxNetwork:
 
 
 def _is_image_network(inputs: Sequence[Any]) -> bool:
-    """Whether a network's only input is an image (1, 3, H, W) of 32-bit floats."""
+    """Return whether a network's only input is an image (1, 3, H, W) of 32-bit floats."""
     if len(inputs) != 1 or inputs[0].type != "tensor(float)" or len(inputs[0].shape) != 4:
         return False
     return inputs[0].shape[1] == 3 or not isinstance(inputs[0].shape[1], int)
@@ -141,6 +141,6 @@ def load_onnx(path: Path | str) -> OnnxNetwork:
 
 
 def _reason(error: Exception) -> str:
-    """The first line of an exception's message."""
+    """Return the first line of an exception's message."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return re.sub(r"\s+", " ", lines[0] if lines else type(error).__name__)[:160]

@@ -17,8 +17,8 @@ STATE = "mattes.json"
 MODEL_NAME = "subject.npz"
 SHEET = DERIVED / "mattes.png"
 NEW = "new_mattes"
-"""Name of the folder for new mattes that will replace mattes from other inputs or settings. The folder is beside the
-folder of the mattes."""
+"""Name of the folder for new mattes that will replace mattes from other inputs or settings. It lies beside the folder
+of the mattes."""
 METHODS = ("motion", "chroma", "rvm", "onnx", "masks")
 
 
@@ -92,24 +92,23 @@ class MatteOutput:
     def prepare(self) -> None:
         """Delete models whose key is not ``model_key``, and unfinished files of killed processes.
 
-        The models are kept if only the painted images have changed, because ``model_key`` does not depend on painted
-        images.
+        The models are kept if only the painted images have changed, because ``model_key`` does not depend on them.
         """
         state = MatteState.read(self.capture)
         remove_unfinished(self.folder.parent)
         remove_unfinished(self.folder, deep=True)
         remove_unfinished(self._new, deep=True)
         if state.key is None and state.new == self.key and self.folder.exists() and not self._new.exists():
-            # An earlier process was killed after the new mattes had replaced the old mattes, but before it wrote the
-            # new key.
+            # An earlier process was killed after the new mattes had replaced the old ones, but before it wrote the new
+            # key.
             replace(state, key=self.key, new=None).write(self.capture)
         elif state.model != self.model_key:
             self.model.unlink(missing_ok=True)
             replace(state, model=self.model_key).write(self.capture)
 
     def missing(self, names: Sequence[str], frames: Sequence[str]) -> list[int]:
-        """Indices of the ``frames`` for which at least one of the cameras ``names`` has no matte with the current
-        key."""
+        """Return the indices of the ``frames`` for which at least one of the cameras ``names`` has no matte with the
+        current key."""
         state = MatteState.read(self.capture)
         if self.key not in (state.key, state.new):
             return list(range(len(frames)))
@@ -121,7 +120,7 @@ class MatteOutput:
         ]
 
     def start(self) -> Path:
-        """Return the folder to which mattes are written. All mattes in the folder have the current key."""
+        """Return the folder to which mattes are written. All mattes in it have the current key."""
         state = MatteState.read(self.capture)
         if state.key == self.key:
             return self.folder
@@ -136,7 +135,7 @@ class MatteOutput:
         return self.folder
 
     def finish(self) -> None:
-        """Replace the old mattes by the new mattes. All new mattes must have been written."""
+        """Replace the old mattes by the new ones, which must all have been written."""
         state = MatteState.read(self.capture)
         if state.key == self.key or state.new != self.key:
             shutil.rmtree(self._new, ignore_errors=True)

@@ -1,9 +1,9 @@
 """Clean plates: each camera's background without the subject.
 
-A plate is the mean of a camera's frames over time, weighted by the mattes, as in 4K4D, sec. 4.1. The computation of
-plates differs from 4K4D in three ways. The mean is a running mean, which needs constant memory. The exposure of each
-frame is matched to the first frame. A second pass excludes pixels that differ too much from the mean of the first pass.
-At the excluded pixels, the matte has probably missed the subject.
+A plate is the mean of a camera's frames over time, weighted by the mattes, as in 4K4D, sec. 4.1. The computation
+differs from 4K4D in three ways. The mean is a running mean, which needs constant memory. The exposure of each frame is
+matched to the first frame. A second pass excludes pixels that differ too much from the mean of the first pass, because
+the matte has probably missed the subject there.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ STATE = "plates.json"
 MAX_FRAMES = 64
 """Maximum number of averaged frames. The mean of 64 frames has an eighth of the noise of one frame."""
 MARGIN = 1 / 150
-"""Width of the excluded band around the matte, as a share of the image's longest side.
+"""Width of the excluded band around the matte, as a fraction of the image's longest side.
 
 The band covers the matte's soft edge and shadows next to the subject.
 """
@@ -124,9 +124,9 @@ def make_plates(selection: Selection, key: str, workers: int, track: Track, fold
 
 
 def _camera_key(capture: Capture, name: str, key: str) -> str:
-    """Hash of ``key`` and of the matte files from which the camera's plate is computed.
+    """Hash ``key`` and the matte files from which the camera's plate is computed.
 
-    The contents of matte files are hashed, because users may edit mattes.
+    The contents of the matte files are hashed, because users may edit mattes.
     """
     digest = hashlib.sha256(key.encode())
     for frame in sample_indices(capture.frame_count, MAX_FRAMES):
@@ -195,7 +195,7 @@ def _weighted_frames(capture: Capture, index: int) -> Iterator[tuple[Floats, Flo
 
 
 def _exposure_gain(rgb: Picture, reference: Picture, weight: Floats) -> Floats:
-    """Per-channel gains (3,) that match the brightness of a frame's background pixels to ``reference``."""
+    """Return the per-channel gains (3,) that match the brightness of a frame's background pixels to ``reference``."""
     step = max(1, max(rgb.shape) // 256)
     part, other, free = rgb[::step, ::step], reference[::step, ::step], weight[::step, ::step] > 0.99
     free &= (part.min(axis=-1) > 16) & (other.max(axis=-1) < 250) & (part.max(axis=-1) < 250)

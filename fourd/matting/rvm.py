@@ -80,8 +80,8 @@ class RVM:
         """Compute the matte of one image, and the recurrent state for the next image."""
         import torch
 
-        # Inference mode is not enabled in the generator _mattes, because inference mode would then stay enabled in the
-        # caller after each yield.
+        # Inference mode is not enabled in the generator _mattes, because it would then stay enabled in the caller after
+        # each yield.
         with torch.inference_mode():
             values = torch.from_numpy(np.array(rgb)).to(self.device).permute(2, 0, 1)[None]
             try:
@@ -153,7 +153,7 @@ def load_rvm(path: Path | str, device: str | None = None) -> RVM:
 
 
 def automatic_ratio(height: int, width: int) -> float:
-    """Scale that reduces an image's longest side to 512 pixels, or 1 for smaller images."""
+    """Return the scale that reduces an image's longest side to 512 pixels, or 1 for smaller images."""
     return min(1.0, REDUCED_SIDE / max(height, width))
 
 
@@ -169,6 +169,6 @@ def _script(path: Path, device: str) -> torch.nn.Module:
 
 
 def _reason(error: Exception) -> str:
-    """The last line of an exception's message. In TorchScript errors, the last line is the cause."""
+    """Return the last line of an exception's message. In TorchScript errors, the last line is the cause."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return re.sub(r"\s+", " ", lines[-1] if lines else type(error).__name__)[:160]

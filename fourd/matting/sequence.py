@@ -71,7 +71,7 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
     The models are learned from the whole recording, even if only some frames are selected. Mattes from an earlier call
     with the same inputs and settings are kept, including the mattes of frames that are not selected. If the inputs or
     settings have changed, all mattes are computed again. The old mattes are replaced only when all new mattes are
-    written. If the call fails or is interrupted, the old mattes are therefore not lost.
+    written, so they are not lost if the call fails or is interrupted.
 
     Args:
         selection: the capture. Evidence is combined over all selected cameras.
@@ -86,8 +86,8 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
         UserError: if no subject moves, the moving regions of the views do not intersect in space, no screen colour is
             found, or the network file is invalid.
     """
-    # Models are learned from the whole recording, and --frames only selects the mattes to write. Optical flow may
-    # therefore reach frames that are not selected.
+    # Models are learned from the whole recording, and --frames only selects the mattes to write, so optical flow may
+    # reach frames that are not selected.
     recording = replace(selection, frames=None)
     with recording.open(mattes=False) as capture:
         return _make_missing(capture, recording, selection.frames, settings, workers, track)
@@ -143,8 +143,7 @@ def _make_modelled_mattes(
 
 
 def matte_key(capture: Capture, settings: MatteSettings) -> str:
-    """Hash of all inputs of the mattes: settings, selection and files. For each file, the name, the size and the
-    modification time are hashed."""
+    """Hash all inputs of the mattes: settings, selection, and the name, size and modification time of each file."""
     digest = hashlib.sha256(
         json.dumps([VERSION, asdict(settings), capture.names, capture.frame_names], default=str).encode()
     )
@@ -157,8 +156,8 @@ def matte_key(capture: Capture, settings: MatteSettings) -> str:
 
 
 def record_choice(capture: Path, settings: MatteSettings) -> None:
-    """Record whether the user chose ``settings`` with options of fourd matte. ``settings`` are the settings of the
-    capture's mattes."""
+    """Record whether the user chose ``settings``, which are the settings of the capture's mattes, by options of fourd
+    matte."""
     state = MatteState.read(capture)
     is_chosen = settings != MatteSettings()
     chosen = replace(
@@ -171,7 +170,7 @@ def record_choice(capture: Path, settings: MatteSettings) -> None:
 
 
 def chosen_method(capture: Path) -> str | None:
-    """The method of the existing mattes, if the user chose the settings of these mattes. Otherwise None.
+    """Return the method of the existing mattes, or None if the user did not choose their settings.
 
     Raises:
         UserError: if the files of the capture have changed since the user chose the settings.
@@ -209,7 +208,7 @@ def _input_files(capture: Path) -> list[Path]:
 
 
 def _versions(paths: Sequence[Path]) -> Iterator[str]:
-    """The name, size and modification time of each file."""
+    """Yield the name, size and modification time of each file."""
     for path in paths:
         if path.is_file():
             status = path.stat()
@@ -230,7 +229,7 @@ def _learn_subject_model(capture: Capture, settings: MatteSettings, path: Path, 
 
 
 def _screen_colours(capture: Capture, settings: MatteSettings, track: Track) -> tuple[ScreenColour, ...]:
-    """The screen colour of each camera, from the settings or estimated from a few images."""
+    """Return the screen colour of each camera, from the settings or estimated from a few images."""
     numbers = range(len(capture.names))
     if settings.screen is not None:
         return tuple(parse_screen(settings.screen) for _ in numbers)
@@ -286,7 +285,7 @@ def _convert_masks(
 
 @dataclass(frozen=True)
 class _Job:
-    """Job of a worker process: the frames whose mattes it computes.
+    """Job of a worker process, which computes the mattes of some frames.
 
     Attributes:
         selection: the capture.
@@ -316,7 +315,7 @@ def _make_frames(job: _Job) -> Iterator[int]:
                 mattes = [chroma_matte(capture.image(index, frame), screen) for index, screen in enumerate(job.model)]
             for name, matte in zip(capture.names, mattes, strict=True):
                 path = job.folder / name / f"{capture.frame_names[frame]}.png"
-                # Existing mattes of an incomplete frame are kept, because the user may have edited these mattes.
+                # Existing mattes of an incomplete frame are kept, because the user may have edited them.
                 if not path.exists():
                     write_matte(path, matte)
             yield frame

@@ -1,4 +1,4 @@
-"""Rendering of textured meshes, for scores and for images."""
+"""Renders textured meshes, both for scores and as output images."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class MeshImage:
 
     Attributes:
         rgb: (H, W, 3) float32 colours in [0, 1], with a black background.
-        alpha: (H, W) float32 share of each pixel that the mesh covers, in [0, 1].
+        alpha: (H, W) float32 fraction of each pixel that the mesh covers, in [0, 1].
     """
 
     rgb: NDArray[np.float32]
@@ -59,15 +59,15 @@ def render_mesh(mesh: TexturedMesh, camera: Camera, samples: int = SAMPLES) -> M
 
 
 def silhouette_iou(alpha: NDArray[np.float32], matte: NDArray[np.uint8]) -> float:
-    """Intersection over union of a rendered silhouette and a matte (H, W), both thresholded at one half. The result is
-    1 if both are empty."""
+    """Return the intersection over union of a rendered silhouette and a matte (H, W), both thresholded at one half. The
+    result is 1 if both are empty."""
     shown, wanted = alpha >= 0.5, matte >= 128
     union = np.count_nonzero(shown | wanted)
     return np.count_nonzero(shown & wanted) / union if union else 1.0
 
 
 def _mean(values: NDArray[np.float32], samples: int) -> NDArray[np.float32]:
-    """Mean over each block of ``samples`` x ``samples`` pixels."""
+    """Return the mean over each block of ``samples`` x ``samples`` pixels."""
     height, width = values.shape[0] // samples, values.shape[1] // samples
     blocks = values.reshape(height, samples, width, samples, *values.shape[2:])
     return np.asarray(blocks.mean(axis=(1, 3)), np.float32)

@@ -1,4 +1,4 @@
-"""Meshes of a whole capture: one file for each frame, and an animation.
+"""Makes the meshes of a whole capture: one file for each frame, and an animation.
 
 Frames are processed one at a time, and an interrupted run can be resumed.
 """
@@ -34,26 +34,26 @@ STATE_NAME = "meshes.json"
 ANIMATION_NAME = "animation.glb"
 VERSION = 2
 BOUNDS_MARGIN = 0.03
-"""Margin of the box around the hull of a frame, as a share of the box's longest side."""
+"""Margin of the box around a frame's hull, as a fraction of the box's longest side."""
 DEFAULT_FPS = 30.0
 """Frame rate of the animation if the capture's frame rate is unknown."""
 
 
 def mesh_capture(capture: Capture, folder: Path, settings: MeshSettings, track: Track = untracked) -> list[Path]:
-    """Make one mesh for each frame of a capture. Write FRAME.glb or FRAME.ply for each frame, and animation.glb.
+    """Make one mesh for each frame of a capture. Write the files FRAME.glb and animation.glb, or FRAME.ply.
 
     FRAME is the six-digit number of the frame in the capture. Files are written atomically, and memory does not grow
-    with the number of frames. If the capture and the settings are the same as in the last call, finished meshes are
-    kept. Otherwise, the meshes of all frames are made again.
+    with the number of frames. If neither the capture nor the settings changed since the last call, finished meshes are
+    kept; otherwise all are made again.
 
     Args:
-        capture: cameras, images and mattes. The capture must not contain held-out views.
-        folder: folder for the files; it is created if missing.
+        capture: cameras, images and mattes, without held-out views.
+        folder: output folder, created if missing.
         settings: settings of the grid, the texture and the fit.
         track: callback that reports progress.
 
     Returns:
-        the files of the frames, in the order of time.
+        the frames' files, in temporal order.
 
     Raises:
         UserError: if the capture has no mattes, a frame's hull is empty, or a file cannot be written.
@@ -115,13 +115,13 @@ def _make_frame(capture: Capture, frame: int, path: Path, settings: MeshSettings
 
 
 def _key(capture: Capture, settings: MeshSettings) -> str:
-    """Hash of all inputs of the meshes: settings, frame rate, cameras and files. For each file, the name, the size and
-    the modification time are hashed."""
+    """Hash all inputs of the meshes: settings, frame rate, cameras, and the name, size and modification time of each
+    input file."""
     return hashlib.sha256(f"{VERSION} {capture.fps} {settings_key(capture, settings)}".encode()).hexdigest()
 
 
 def _remove_stale(folder: Path, key: str) -> None:
-    """Remove meshes in ``folder`` that were made with a different key, and store the new key."""
+    """Remove the meshes and the animation in ``folder`` if they were made with another key, and store the new key."""
     state = folder / STATE_NAME
     try:
         known = read_json(state)["key"]

@@ -12,18 +12,18 @@ MeshFormat = Literal["glb", "ply"]
 
 @dataclass(frozen=True)
 class MeshSettings:
-    """Settings from which the meshes of a capture are made.
+    """Settings of the meshes of a capture.
 
     Attributes:
         cells: number of cubes of the grid along the longest side of the subject, at least 8.
-        texture_size: side of the texture in texels, at least 16.
+        texture_size: side length of the texture in texels, from 16 to 16384.
         format: "glb" for textured meshes in GLB files and an animation, "ply" for meshes with vertex colours.
-        agreement: a share in (0, 1]. A hull point must be inside the mattes of at least the share ``agreement`` of the
-            views that see it.
-        least_views: a share in (0, 1]. At least the share ``least_views`` of all views must see a hull point.
+        agreement: a hull point must be inside the mattes of at least this fraction, in (0, 1], of the views that see
+            it.
+        least_views: at least this fraction, in (0, 1], of all views must see a hull point.
         trim: whether to remove protruding parts of the hull before fitting. The remaining hull still covers all mattes.
-        remesh: edge length after isotropic remeshing, as a multiple of the side of a grid cell. With 0, the triangles
-            of the grid are kept.
+        remesh: target edge length of isotropic remeshing, as a multiple of the grid's cell size. If 0, the mesh is not
+            remeshed.
         fit: settings of the fit.
     """
 

@@ -1,4 +1,4 @@
-"""The views of one frame, cropped to the subject, and depth images of a mesh in a view."""
+"""The views of one frame, cropped to the subject, and depth images of a mesh in these views."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from fourd.ops.meshes.ids import decode_ids
 from fourd.raster.triangles import clip_matrix, rasterize
 
 MARGIN_PX = 16
-"""Margin in pixels between the bounding box of the matte and the border of the crop."""
+"""Margin in pixels between the matte's bounding box and the border of the crop."""
 
 NEAR_SHARE = 0.05
-"""Depth of the near plane, as a share of the depth of the nearest vertex. The depth of the far plane is twice the depth
-of the farthest vertex."""
+"""Depth of the near plane, as a fraction of the nearest vertex's depth. The far plane is at twice the depth of the
+farthest vertex."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +43,7 @@ class MeshView:
     ) -> MeshView:
         """Crop an undistorted image (H, W, 3) and its matte (H, W) to the subject.
 
-        If the matte is empty, the crop is the whole image, so that the view still shows that the subject is nowhere in
-        the image.
+        If the matte is empty, the crop is the whole image, which still shows that the subject is nowhere in it.
 
         Raises:
             ValueError: if the sizes of image, matte and camera differ.
@@ -68,7 +67,7 @@ class MeshView:
 
 
 def clip_positions(xyz: Tensor, camera: Camera) -> Tensor:
-    """Clip-space positions (N, 4) of world points (N, 3), differentiable.
+    """Return the clip-space positions (N, 4) of world points (N, 3), differentiable.
 
     All points in front of the camera lie between the near plane and the far plane.
     """
@@ -81,7 +80,7 @@ def clip_positions(xyz: Tensor, camera: Camera) -> Tensor:
 
 
 def depth_image(xyz: Tensor, triangles: Tensor, camera: Camera) -> NDArray[np.float32]:
-    """Depth (H, W) float32 of a mesh in world units. The depth is infinite where the camera sees no triangle.
+    """Render the depth (H, W) float32 of a mesh, in world units. It is infinite where the camera sees no triangle.
 
     Args:
         xyz: (N, 3) float32 vertices.

@@ -1,4 +1,4 @@
-"""The point model: K-Planes, and heads that compute the geometry and colour of each frame's points from K-Planes
+"""The point model: K-Planes, and heads that compute the geometry and the colour of each frame's points from K-Planes
 features."""
 
 from fourd.model.config import ModelConfig, PlanesConfig

@@ -12,16 +12,16 @@ from fourd.ops.blend.op import blend_logits
 from fourd.ops.blend.reference import LOGIT_RANGE
 
 MIN_VISIBILITY = 1e-3
-"""Visibility weights below this value are set to 0. This threshold limits the ratio between the weights of two views,
-so that a baked scene can store the weights in float16."""
+"""Visibility weights below this value are set to 0. The threshold limits the ratio between the weights of two views, so
+that a baked scene can store them in float16."""
 
 
 class ImageEncoder(nn.Module):
     """Feature pyramid over the source images. The three levels of the pyramid have 8, 16 and 32 channels.
 
     The encoder maps V images (V, 3, H, W) in [0, 1] to features (V, image_features, H / stride, W / stride). H and W
-    must be multiples of 4 * stride. No layer normalises with statistics of the whole image, so an image crop has the
-    same features as the whole image, except near the crop's border.
+    must be multiples of 4 * stride. An image crop has the same features as the whole image, except near the crop's
+    border, because no layer normalises with statistics of the whole image.
     """
 
     def __init__(self, out_features: int, stride: int) -> None:
@@ -36,7 +36,7 @@ class ImageEncoder(nn.Module):
         self.out = nn.Conv2d(16, out_features, 3, padding=1)
 
     def forward(self, images: Tensor) -> Tensor:
-        # The channels of a pixel are stored together, because the kernel that samples the features reads all channels
+        # The channels of a pixel are adjacent in memory, because the kernel that samples the features reads all of them
         # together.
         images = images.contiguous(memory_format=torch.channels_last)
         full = self.at_full(functional.avg_pool2d(images, self.stride) if self.stride > 1 else images)
@@ -49,10 +49,10 @@ class ImageEncoder(nn.Module):
 class BlendHead(nn.Module):
     """MLP that predicts a blend logit for each point and source view.
 
-    The input of the first layer is [point feature, image sample, optional direction]. This layer is split into one
-    linear layer for each part of the input, and the outputs of these layers are added. The layer ``point`` is therefore
-    computed once per point instead of once per point and view. The split changes the order of summation, so the logits
-    differ from those of a single layer by rounding errors.
+    The input of the first layer is [point feature, image sample, optional direction]. The layer is split into one
+    linear layer for each of these parts, whose outputs are added, so that the layer ``point`` is computed once per
+    point instead of once per point and view. Because the split changes the order of summation, the logits differ from
+    those of a single layer by rounding errors.
     """
 
     def __init__(self, point_features: int, image_channels: int, config: ModelConfig) -> None:
@@ -65,12 +65,12 @@ class BlendHead(nn.Module):
         nn.init.zeros_(self.out.bias)
 
     def forward(self, point: Tensor, samples: Tensor, directions: Tensor | None = None) -> Tensor:
-        """Blend logits (V, N), between -5 and 5.
+        """Compute the blend logits (V, N), which are between -5 and 5.
 
         Args:
             point: (N, H) output of the layer ``point``.
             samples: (V, N, C) image samples.
-            directions: (V, N, 4) relative directions; None without continuous blending.
+            directions: (V, N, 4) relative directions; None if continuous blending is off.
         """
         if self.direction is None:
             return blend_logits(point, samples.transpose(1, 2), self.image.weight, self.out.weight[0], self.out.bias)
@@ -80,8 +80,8 @@ class BlendHead(nn.Module):
 
 
 class HarmonicsHead(nn.Module):
-    """MLP with one hidden layer, which maps features (N, F) to degree-3 SH coefficients (N, 3, 16). Initially, the
-    coefficients are near zero."""
+    """MLP with one hidden layer that maps features (N, F) to degree-3 SH coefficients (N, 3, 16), which are initially
+    near zero."""
 
     def __init__(self, in_features: int, config: ModelConfig) -> None:
         super().__init__()
@@ -98,29 +98,28 @@ class HarmonicsHead(nn.Module):
 
 
 def harmonics_colour(sh: Tensor, directions: Tensor, colour_range: float, base: float) -> Tensor:
-    """Compute colours (N, 3) from the SH coefficients ``sh`` (N, 3, 16) and the unit directions d (N, 3). The colour is
+    """Compute colours (N, 3) from the SH coefficients ``sh`` (N, 3, 16) and the unit directions d (N, 3). A colour is
     ``base + colour_range * tanh(sum_i sh_i * Y_i(d))``, where Y_i are the 16 SH basis functions."""
     return base + colour_range * torch.tanh((sh * sh_basis(directions)[:, None]).sum(-1))
 
 
 def zero_low_visibility(visibility: Tensor) -> Tensor:
-    """Replace visibility weights below MIN_VISIBILITY by 0. All visibility weights are values in [0, 1]."""
+    """Replace visibility weights below MIN_VISIBILITY by 0. Visibility weights are in [0, 1]."""
     return torch.where(visibility < MIN_VISIBILITY, torch.zeros_like(visibility), visibility)
 
 
 def mix_own_colours(colours: Tensor, visibility: Tensor, own: Tensor | None, share: float) -> Tensor:
-    """For each point and source view, mix the colour that the view shows at the point with the point's own colour. A
-    point's own colour is the same in all views.
+    """Mix the colour that each source view shows at each point with the point's own colour, which is the same in all
+    views.
 
     Args:
         colours: (V, N, 3) colours of the views in [0, 1].
         visibility: (V, N) visibility weights in [0, 1]. Weights below MIN_VISIBILITY count as 0.
-        own: (N, 3) a colour of each point that does not depend on the view. If ``own`` is None, the result is
-            ``colours``.
-        share: share of the own colour in each mixed colour, in [0, 1). Mixed colours are clamped to [0, 1], because
-            baked scenes store mixed colours as bytes. If the share is 0, as for the background, the own colour replaces
-            the colours of views in which the point is occluded. For a view with visibility v and colour c, the mixed
-            colour is then ``v * c + (1 - v) * own``.
+        own: (N, 3) own colours of the points, which do not depend on the view. If None, the result is ``colours``.
+        share: weight of the own colour in each mixed colour, in [0, 1). If it is positive, mixed colours are clamped to
+            [0, 1], because baked scenes store them as bytes. If it is 0, as for the background, the own colour replaces
+            the colours of views in which the point is occluded: for a view with visibility v and colour c, the mixed
+            colour is ``v * c + (1 - v) * own``.
 
     Returns:
         (V, N, 3) mixed colours, differentiable in ``colours`` and ``own``.
@@ -133,19 +132,18 @@ def mix_own_colours(colours: Tensor, visibility: Tensor, own: Tensor | None, sha
 
 
 def blend(logits: Tensor, visibility: Tensor, colours: Tensor, view_weights: Tensor | None = None) -> Tensor:
-    """Image-based colour: the weighted mean of the views' colours. The weight of a view is its visibility times the
-    softmax of its logit.
+    """Compute image-based colours as the weighted mean of the views' colours. A view's weight is its visibility times
+    the softmax of its logit.
 
     Args:
         logits: (V, N).
         visibility: (V, N) visibility weights in [0, 1]. Weights below MIN_VISIBILITY count as 0.
         colours: (V, N, 3).
-        view_weights: (V,) factors in [0, 1] that multiply the weights of each view, or None if all factors are 1.
+        view_weights: (V,) factors in [0, 1] that multiply the weights of the views, or None if all factors are 1.
 
     Returns:
         (N, 3) colours. A point that is visible in no view gets the mean of the views' colours, weighted by
-        ``view_weights``. In a baked scene, points whose stored weights are all 0 also get the mean of the views'
-        colours.
+        ``view_weights``, as does a point of a baked scene whose stored weights are all 0.
     """
     visibility = zero_low_visibility(visibility)
     weights = torch.softmax(logits, dim=0) * visibility

@@ -10,8 +10,8 @@ MAX_HIDDEN = 4096
 
 
 def require(condition: bool, message: str) -> None:
-    """Raise ValueError(message) if ``condition`` is false. The code that reads config files adds the file's name and
-    the key to the message."""
+    """Raise ValueError(message) if ``condition`` is false. The code that reads config files adds the file name and the
+    key to the message."""
     if not condition:
         raise ValueError(message)
 
@@ -27,12 +27,12 @@ class PlanesConfig:
     base_resolution: int = 32
     """Grid resolution along the longest side of the bounds at the coarsest level, in samples."""
     multiplier: int = 2
-    """Factor by which the resolution increases from one level to the next finer level."""
+    """Factor by which the resolution increases from each level to the next finer one."""
     reduction: Literal["concat", "sum", "product"] = "concat"
     """How the features of the planes of one level are combined: `concat` as in 4K4D, `product` as in K-Planes, or
     `sum`."""
     time: bool = True
-    """Use the planes xt, yt and zt. Without these planes, a point's feature does not depend on time."""
+    """Use the planes xt, yt and zt. If false, a point's feature does not depend on time."""
 
     def __post_init__(self) -> None:
         require(1 <= self.levels <= 8, f"levels: expected 1 to 8, got {self.levels}")
@@ -49,38 +49,37 @@ class ModelConfig:
     hidden: int = 64
     """Width of the hidden layers of every MLP."""
     appearance: Literal["both", "ibr", "sh"] = "both"
-    """Parts of a point's colour: `ibr` is a colour blended from source images, `sh` is a colour from spherical
-    harmonics, and `both` is the sum of `ibr` and `sh`."""
+    """Source of a point's colour: `ibr` blends it from source images, `sh` computes it from spherical harmonics, and
+    `both` adds the two colours."""
     sh: Literal["mlp", "explicit"] = "mlp"
-    """Source of the SH coefficients. With `mlp`, an MLP predicts the coefficients from the point's feature. With
-    `explicit`, training optimises 48 coefficients for each point of each frame."""
+    """Source of the SH coefficients: `mlp` predicts them from the point's feature with an MLP, and `explicit` optimises
+    48 coefficients for each point of each frame."""
     sh_range: float = 0.25
     """Maximum absolute value of the colour from SH that is added to the image-based colour."""
     high_sh_share: float = 0.8
     """Factor from 0 to 1 that multiplies the SH coefficients of degrees 2 and 3 in rendered and exported scenes, but
-    not in training. With `appearance: both`, coefficients of degrees 2 and 3 mainly correct errors of the image-based
-    colours in single training views. In new views, these corrections are wrong, so a smaller factor gives a higher
-    PSNR. In training, `loss.high_sh` keeps these coefficients small. With `appearance: sh`, the key has no effect,
-    because all colour comes from SH."""
+    not in training. A factor below 1 gives a higher PSNR in novel views, because these coefficients mainly correct
+    errors of the image-based colour in single training views, and the corrections are wrong in other views. In
+    training, `loss.high_sh` keeps the coefficients small. The key has no effect with `appearance: sh`, where all colour
+    comes from SH."""
     own_colour: float = 0.6
-    """Share of a point's own colour in the point's image-based colour, at least 0 and less than 1. Each point of each
-    frame has its own colour, which is optimised and does not depend on the viewing direction. Source views give a point
-    a wrong colour where geometry or blending is inexact. In new views, the own colour reduces errors from inexact
-    geometry or blending. If the share is 0, points have no own colour."""
+    """Weight of a point's own colour in its image-based colour, at least 0 and less than 1. The own colour is optimised
+    for each point of each frame and is the same for all viewing directions. It improves novel views where the colours
+    from source images are wrong because geometry or blending is inexact. If 0, points have no own colour."""
     continuous: bool = False
-    """Let the blend weights depend on the viewing direction (as in ENeRF). A model with this option cannot be
+    """Let the blend weights depend on the viewing direction, as in ENeRF. A model with this option cannot be
     exported."""
     neighbours: int = 4
     """Number N' of source views that are blended for a viewing camera."""
     fade_views: bool = True
     """Multiply the blend weights of each source view by 1 - a / b, so that images change smoothly along a camera path.
-    Here, a is the angle between the directions from the scene's focus point to the source view and to the viewing
-    camera. The limit b is the smallest such angle of a view that is not blended but lies beyond all blended views."""
+    The angle a is measured at the scene's focus point, between the directions to the source view and to the viewing
+    camera. The limit b is the angle of the nearest view that is farther away than all blended views."""
     image_features: int = 8
     """Number of channels of the image encoder's features."""
     encoder_stride: Literal[1, 2] = 2
-    """Stride in pixels of the image encoder's features. With stride 1, the encoder takes four times as long as with
-    stride 2."""
+    """Stride in pixels of the image encoder's features. Stride 1 makes the encoder take four times as long as stride
+    2."""
     occlusion: bool = True
     """Reduce the blend weights of a source view for points that are occluded in this view."""
     radius_range: tuple[float, float] = (0.5, 6.0)
@@ -91,7 +90,7 @@ class ModelConfig:
     """Displace points by a learnt residual field (a small K-Planes model). Export adds the displacement to the point
     positions."""
     residual_range: float = 0.1
-    """Maximum displacement of a point by the residual field, as a share of the longest side of the bounds."""
+    """Maximum displacement of a point by the residual field, as a fraction of the longest side of the bounds."""
 
     def __post_init__(self) -> None:
         low, high = self.radius_range

@@ -10,15 +10,16 @@ from torch import Tensor, nn
 from fourd.model.config import ModelConfig
 
 DENSITY_OFFSET = 5.0
-"""Constant that is added to the logit of the density, so that points are nearly opaque at the start of training."""
+"""Constant that is added to the density's logit, so that points are nearly opaque at the start of training."""
 
 
 class GeometryHead(nn.Module):
     """MLP with two hidden layers that predicts radius and density (4K4D, eq. 1 and supplement).
 
-    For the MLP's outputs a and b, ``radius = low + (high - low) * sigmoid(a + offset)`` and ``density = sigmoid(b +
-    DENSITY_OFFSET)``, where (low, high) is ``ModelConfig.radius_range``. The offset is chosen such that ``a = 0`` gives
-    the initial radius ``ModelConfig.radius_start``. A radius is a multiple of the point spacing.
+    From the MLP's outputs a and b, the radius is ``low + (high - low) * sigmoid(a + offset)``, as a multiple of the
+    point spacing, and the density is ``sigmoid(b + DENSITY_OFFSET)``. Here, (low, high) is
+    ``ModelConfig.radius_range``, and the offset is chosen such that ``a = 0`` gives the initial radius
+    ``ModelConfig.radius_start``.
     """
 
     def __init__(self, in_features: int, config: ModelConfig) -> None:

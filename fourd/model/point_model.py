@@ -27,8 +27,8 @@ LOW_SH_TERMS = 4
 
 @dataclass(frozen=True)
 class PointFeatures:
-    """Outputs of the first layers of the heads for N points, computed from the K-Planes features of the points. Each
-    output has the shape (N, H) and is the input of the ReLU.
+    """Outputs of the heads' first layers for N points, computed from the points' K-Planes features. Each output has the
+    shape (N, H) and is the input of a ReLU.
 
     Attributes:
         geometry: output of the geometry head's first layer.
@@ -70,11 +70,11 @@ class EvaluatedPoints:
 
 
 class PointModel(nn.Module):
-    """The networks of the point model, which all frames share. The points of each frame are stored outside this model.
+    """The networks of the point model, which all frames share. The points of each frame are stored elsewhere.
 
-    Point positions are (N, 3) float32 in world units. Time is in [0, 1] over the whole capture. ``shadow`` is the field
-    of the shadows that the foreground casts on the background. The attribute ``shadow`` is None except in the model of
-    a background.
+    Point positions are (N, 3) float32 in world units. Time is in [0, 1] over the whole capture. The attribute
+    ``shadow`` is the field of the shadows that the foreground casts on the background; only the model of a background
+    can have one.
     """
 
     lower: Tensor
@@ -92,13 +92,13 @@ class PointModel(nn.Module):
         """Build an untrained model.
 
         Args:
-            config: layers of the networks, and switches for ablations.
+            config: layers of the networks, and options for ablations.
             lower: (3,) lower corner of the scene's bounds in world units.
             upper: (3,) upper corner of the bounds.
             spacing: mean distance between neighbouring points in world units.
-            frame_count: number of frames of the whole capture, which is the number of rows of the time planes.
-            contraction: function that maps unbounded space into the volume of the planes. If it is None, the planes
-                cover only the scene's bounds.
+            frame_count: number of frames of the whole capture; each has one row in the time planes.
+            contraction: function that maps unbounded space into the volume of the planes. If None, the planes cover
+                only the scene's bounds.
         """
         super().__init__()
         self.config = config
@@ -128,14 +128,14 @@ class PointModel(nn.Module):
 
     @property
     def sh_base(self) -> float:
-        """Constant to which the colour from SH is added. The constant is 0.5 (medium grey) if the model uses only SH,
-        and 0 if it uses image-based colour."""
+        """Constant to which the colour from SH is added: 0.5 (medium grey) if the model uses only SH, and 0 if it uses
+        image-based colour."""
         return 0.5 if self.config.appearance == "sh" else 0.0
 
     @property
     def sh_range(self) -> float:
-        """Maximum absolute value of the colour from SH. If the model uses only SH, the maximum is 0.75, so that every
-        colour in [0, 1] can be reached."""
+        """Maximum absolute value of the colour from SH. If the model uses only SH, it is 0.75, so that every colour in
+        [0, 1] can be reached."""
         return 0.75 if self.config.appearance == "sh" else self.config.sh_range
 
     def evaluate(
@@ -150,8 +150,7 @@ class PointModel(nn.Module):
         """Compute positions, radii and densities of points at ``time``. From the result, :meth:`colour` computes the
         points' colours for a viewing camera.
 
-        The result is differentiable. Geometry and appearance are computed from K-Planes features. No gradient flows
-        through these features to the positions ``xyz``.
+        The result is differentiable, but no gradient flows through the K-Planes features to the positions ``xyz``.
 
         Args:
             xyz: (N, 3) optimised positions in world units.
@@ -178,17 +177,16 @@ class PointModel(nn.Module):
         train_encoder: bool = True,
         is_training: bool = True,
     ) -> Tensor:
-        """RGB (N, 3) of points as seen from ``viewer``, not clamped (4K4D, eq. 2).
+        """Compute RGB (N, 3) of points as seen from ``viewer``, not clamped (4K4D, eq. 2).
 
         Args:
             points: the output of :meth:`evaluate`.
             viewer: the viewing camera.
             sources: the source views nearest to the viewing camera; None if the model uses only SH.
-            shadow: factors by which the image-based colours are multiplied. An exported scene stores the same factors
-                as bytes.
-            train_encoder: whether the image encoder gets a gradient. Without a gradient of the encoder, a training step
-                takes a third less time.
-            is_training: whether the colours are used in a training step. If false, the colours are computed with the SH
+            shadow: factors by which the image-based colours are multiplied, and which an exported scene stores as
+                bytes.
+            train_encoder: whether the image encoder gets a gradient. If false, a training step takes a third less time.
+            is_training: whether the colours are used in a training step. If false, they are computed with the SH
                 coefficients of an exported scene; see :meth:`harmonics`.
         """
         colour: Tensor | None = None
@@ -212,7 +210,7 @@ class PointModel(nn.Module):
         return colour
 
     def coordinates(self, xyz: Tensor, time: float) -> Tensor:
-        """K-Planes coordinates (N, 4) in [-1, 1] of world points (N, 3) at a time in [0, 1]."""
+        """Convert world points (N, 3) and a time in [0, 1] to K-Planes coordinates (N, 4) in [-1, 1]."""
         if self.contraction is None:
             space = 2 * (xyz - self.lower) / (self.upper - self.lower) - 1
         else:
@@ -220,12 +218,12 @@ class PointModel(nn.Module):
         return torch.cat([space, torch.full_like(space[:, :1], 2 * time - 1)], dim=1)
 
     def encode_images(self, images: Tensor) -> Tensor | None:
-        """Features (V, image_features, H / stride, W / stride) of V images (V, 3, H, W). The result is None if the
+        """Compute features (V, image_features, H / stride, W / stride) of V images (V, 3, H, W). Returns None if the
         model has no image-based colour."""
         return None if self.image_encoder is None else self.image_encoder(images)
 
     def harmonics(self, points: EvaluatedPoints, *, is_training: bool) -> Tensor | None:
-        """SH coefficients (N, 3, 16) of the points. The result is None if the model uses no SH.
+        """Return the SH coefficients (N, 3, 16) of the points, or None if the model uses no SH.
 
         Outside training, ``high_sh_share`` multiplies the coefficients of degrees 2 and 3, unless the model uses only
         SH.
@@ -238,8 +236,8 @@ class PointModel(nn.Module):
     def blend_logits(
         self, points: EvaluatedPoints, samples: SourceSamples, sources: SourceViews, viewer: Camera | None
     ) -> Tensor:
-        """Blend logits (V, N) of the source views. ``viewer`` is used only for continuous blending and may otherwise be
-        None."""
+        """Compute the blend logits (V, N) of the source views. ``viewer`` is used only for continuous blending and may
+        otherwise be None."""
         assert self.blend_head is not None
         assert points.features.blend is not None
         directions = None
@@ -249,7 +247,8 @@ class PointModel(nn.Module):
         return self.blend_head(points.features.blend, samples.channels, directions)
 
     def _sh(self, features: PointFeatures, explicit_sh: Tensor | None) -> Tensor | None:
-        """SH coefficients (N, 3, 16) from the MLP or from ``explicit_sh``; None if the model uses no SH."""
+        """Return the SH coefficients (N, 3, 16) from the MLP or from ``explicit_sh``, or None if the model uses no
+        SH."""
         if self.config.appearance == "ibr":
             return None
         if self.harmonics_head is None:
@@ -269,15 +268,14 @@ class PointModel(nn.Module):
 
 
 def unit_directions(xyz: Tensor, viewer: Camera) -> Tensor:
-    """Unit vectors (N, 3) from the centre of the viewing camera to the points."""
+    """Compute unit vectors (N, 3) from the centre of the viewing camera to the points."""
     centre = torch.tensor(viewer.centre, dtype=xyz.dtype, device=xyz.device)
     return nn.functional.normalize(xyz - centre, dim=-1)
 
 
 def _relative_directions(xyz: Tensor, viewer: Camera, cameras: tuple[Camera, ...]) -> Tensor:
-    """Viewing directions relative to source directions, as in IBRNet: an array (V, N, 4). The first three numbers are
-    the viewing direction minus the source direction. The fourth number is the cosine of the angle between the two
-    directions."""
+    """Compute viewing directions relative to source directions (V, N, 4), as in IBRNet. The first three numbers are the
+    viewing direction minus the source direction, and the fourth is the cosine of the angle between the two."""
     target = unit_directions(xyz, viewer)
     parts = []
     for camera in cameras:

@@ -10,8 +10,8 @@ from fourd.model.kplanes import KPlanes
 
 
 class ResidualField(nn.Module):
-    """A small K-Planes model, followed by an MLP. The MLP displaces points by at most ``residual_range`` times the
-    longest side of the bounds."""
+    """A small K-Planes model, followed by an MLP that displaces points by at most ``residual_range`` times the longest
+    side of the bounds along each axis."""
 
     def __init__(self, config: ModelConfig, sides: tuple[float, float, float], frame_count: int) -> None:
         super().__init__()
@@ -27,5 +27,5 @@ class ResidualField(nn.Module):
         nn.init.zeros_(last.bias)
 
     def forward(self, coordinates: Tensor) -> Tensor:
-        """Displacement (N, 3) in world units at coordinates (N, 4) in [-1, 1]."""
+        """Compute displacements (N, 3) in world units at coordinates (N, 4) in [-1, 1]."""
         return self.range * torch.tanh(self.layers(self.planes(coordinates)))

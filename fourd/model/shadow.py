@@ -15,15 +15,15 @@ from fourd.model.kplanes import KPlanes
 PLANES = PlanesConfig(levels=2, features=4, base_resolution=64)
 HIDDEN = 32
 MARGIN = 0.5
-"""Margin of the field around the foreground's bounds, as a share of the bounds' longest side."""
+"""Margin of the field around the foreground's bounds, as a fraction of the bounds' longest side."""
 FADE = 0.25
-"""Shadows fade out in a zone at the border of the field. The width of the zone is this share of the distance from the
-centre to the border. Without a fade-out, shadows would end in a sharp edge at the border."""
+"""Width of the zone at the border of the field in which shadows fade out, as a fraction of the distance from the centre
+to the border. Without the fade-out, shadows would end in a sharp edge at the border."""
 GAIN = 3.0
-"""Factor that multiplies the MLP's output, so that the field learns faster. Fast learning is needed because each frame
-is rendered in only a few training steps."""
+"""Factor that multiplies the MLP's output. It makes the field learn faster, which is needed because each frame is
+rendered in only a few training steps."""
 STRENGTH = 127 / 128
-"""Shadow factors lie between 1 - STRENGTH and 1 + STRENGTH. A byte can store these factors in units of 1/128."""
+"""Shadow factors lie between 1 - STRENGTH and 1 + STRENGTH, so that a byte can store them in units of 1/128."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Shadow:
     """The shadow on N points at one time.
 
     Attributes:
-        factor: (N,) factor in (0, 2) that multiplies image-based colours. The factor is 1 where there is no shadow. The
-            factor is differentiable in the parameters of the shadow field.
+        factor: (N,) factor in (0, 2) that multiplies image-based colours; 1 where there is no shadow. It is
+            differentiable in the parameters of the shadow field.
         is_inside: (N,) bool, true for points inside the shadow field.
     """
 
@@ -40,32 +40,34 @@ class Shadow:
     is_inside: Tensor
 
     def apply(self, colour: Tensor) -> Tensor:
-        """Image-based colours (N, 3) multiplied by the shadow factor. For points inside the field, the gradient goes
+        """Multiply image-based colours (N, 3) by the shadow factor. For points inside the field, the gradient flows
         only to the shadow factor, not to ``colour``; see :meth:`detach_inside`."""
         return self.detach_inside(colour) * self.factor[:, None]
 
     def detach_inside(self, colour: Tensor) -> Tensor:
-        """Return ``colour`` (N, 3) unchanged, but without gradient for points inside the field.
+        """Return ``colour`` (N, 3) unchanged, but without a gradient for points inside the field.
 
-        For points inside the field, clean plates train the colours of the background, and frames train only the shadow.
+        For these points, only steps on clean plates train the background's colours, and steps on frames train only the
+        shadow.
         """
         return torch.where(self.is_inside[:, None], colour.detach(), colour)
 
 
 class ShadowField(nn.Module):
-    """Small K-Planes with time planes, followed by a small MLP. The field covers the foreground's bounds, extended by a
-    margin.
+    """A small K-Planes model with time planes, followed by a small MLP. It covers the foreground's bounds, extended by
+    a margin.
 
-    The factor is ``1 + STRENGTH * fade * tanh(GAIN * (MLP(planes(x, t)) - MLP(0)))``, where ``fade`` decreases linearly
-    from 1 to 0 in the border zone; see FADE. Because the planes are initialised to 0, the factor is exactly 1 before
-    training. The factor also remains 1 wherever the planes never get a gradient.
+    The shadow factor is ``1 + STRENGTH * fade * tanh(GAIN * (MLP(planes(x, t)) - MLP(0)))``, where ``fade`` decreases
+    linearly from 1 to 0 in the border zone; see FADE. Because the planes are initialised to 0, the factor is exactly 1
+    before training, and it remains 1 wherever the planes never get a gradient.
     """
 
     lower: Tensor
     upper: Tensor
 
     def __init__(self, lower: NDArray[np.float64], upper: NDArray[np.float64], frame_count: int) -> None:
-        """``lower`` and ``upper`` (3,) are the corners of the foreground's bounds in world units."""
+        """Create the field around the foreground's bounds, whose corners are ``lower`` and ``upper`` (3,) in world
+        units."""
         super().__init__()
         margin = MARGIN * float((upper - lower).max())
         self.register_buffer("lower", torch.tensor(lower - margin, dtype=torch.float32))
@@ -79,7 +81,7 @@ class ShadowField(nn.Module):
         )
 
     def forward(self, xyz: Tensor, time: float) -> Shadow:
-        """The shadow on points (N, 3) in world units at ``time`` in [0, 1]. Positions get no gradient."""
+        """Compute the shadow on points (N, 3) in world units at ``time`` in [0, 1]. Positions get no gradient."""
         position = 2 * (xyz.detach() - self.lower) / (self.upper - self.lower) - 1
         edge = position.abs().amax(dim=1)
         is_inside = edge < 1
@@ -92,7 +94,7 @@ class ShadowField(nn.Module):
         return Shadow(torch.ones_like(edge).index_put((rows,), factor), is_inside)
 
     def mean_squared_deviation(self, xyz: Tensor, time: float) -> Tensor:
-        """Mean of (factor - 1)^2 over the points inside the field, as a scalar. Points of ``xyz`` (N, 3) outside the
-        field are ignored."""
+        """Compute the mean of (factor - 1)^2 over the points inside the field, as a scalar. Points of ``xyz`` (N, 3)
+        outside the field are ignored."""
         shadow = self(xyz, time)
         return (shadow.factor - 1).square().sum() / shadow.is_inside.sum().clamp(min=1)

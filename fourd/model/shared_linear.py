@@ -1,5 +1,4 @@
-"""Several linear layers over the same input, computed as one matrix product. One product reads the input only once for
-all layers."""
+"""Compute several linear layers with the same input as one matrix product, which reads the input only once."""
 
 from __future__ import annotations
 
@@ -12,10 +11,10 @@ from torch.autograd.function import once_differentiable
 
 
 def shared_linear(features: Tensor, layers: Sequence[nn.Linear]) -> list[Tensor]:
-    """Outputs of all ``layers`` for ``features`` (N, F). The output of a layer of width M is a view (N, M) of one array
-    that contains the outputs of all layers.
+    """Compute the outputs of all ``layers`` for ``features`` (N, F). The output of a layer of width M is a view (N, M)
+    of one array that contains all outputs.
 
-    The outputs equal the outputs of separate layers, up to rounding errors from the order of summation. The outputs are
+    The outputs equal those of separate layers, up to rounding errors from the order of summation. They are
     differentiable in features, weights and biases. Second derivatives are not supported.
     """
     parameters = [parameter for layer in layers for parameter in (layer.weight, layer.bias)]

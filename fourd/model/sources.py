@@ -1,4 +1,4 @@
-"""Source views (the images nearest to a viewing camera), and samples of source views at points."""
+"""Source views (the images nearest to a viewing camera), and their samples at points."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fourd.ops.sources import reference
 
 OCCLUSION_FALLOFF_SPACINGS = 1.0
 """Decay length of visibility weights, as a multiple of the point spacing. A point's weight decays exponentially with
-the depth of the point behind the nearest surface. The decay starts two decay lengths behind the surface."""
+its depth behind the nearest surface, starting two decay lengths behind the surface."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class SourceViews:
 
 @dataclass(frozen=True)
 class SourceSamples:
-    """Values of V source views, sampled at the projections of N points.
+    """Values of V source views at the projections of N points.
 
     Attributes:
         channels: (V, N, C) image features followed by RGB (the last three channels), differentiable.
@@ -69,8 +69,8 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
 
     A point's visibility weight in a view is the squared matte times the occlusion factor, which ``softness`` defines.
     The matte is squared because pixels on the silhouette also contain background colour, so their weight must be lower
-    than their coverage. For float32 inputs, one fused kernel projects the points and also samples the views. The fused
-    kernel runs on the CPU or, if the CUDA kernels are compiled, on a CUDA device.
+    than their coverage. For float32 inputs, one fused kernel projects the points and samples the views. It runs on the
+    CPU or, if the CUDA kernels are compiled, on a CUDA device.
 
     Args:
         xyz: (N, 3) points in world units. The points get gradients through the projection.
@@ -90,7 +90,7 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
 def project_points(xyz: Tensor, cameras: tuple[Camera, ...]) -> tuple[Tensor, Tensor]:
     """Project world points (N, 3) into V cameras. Returns pixel coordinates (V, N, 2) and depths (V, N) in world units.
 
-    Points at or behind a camera get pixel coordinates far outside the camera's image.
+    Points at or behind a camera get pixel coordinates far outside its image.
     """
     return reference.project_points(xyz, _pack_cameras(cameras))
 

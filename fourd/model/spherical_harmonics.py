@@ -11,10 +11,10 @@ __all__ = ["SH_TERMS", "sh_basis"]
 
 
 def sh_basis(directions: Tensor) -> Tensor:
-    """The 16 real spherical harmonics up to degree 3, evaluated for given directions.
+    """Evaluate the 16 real spherical harmonics up to degree 3 for given directions.
 
     Args:
-        directions: (..., 3) unit vectors. The vectors must already be normalised.
+        directions: (..., 3) unit vectors, which must already be normalised.
 
     Returns:
         (..., 16) values, differentiable in ``directions``. The functions are orthonormal over the sphere.

@@ -1,11 +1,11 @@
 """Python interfaces of the native kernels: one folder per kernel of ``csrc``, all with the same structure.
 
-- ``op.py``: the public function, which checks arguments and selects the backend. For a differentiable operation, this
-  module also registers a ``torch.library`` operator, its fake implementation and its gradient.
-- ``reference.py``: a slow and simple implementation. Tests compare every backend with this reference.
+- ``op.py``: the public function, which checks arguments and selects the backend. For a differentiable operation,
+  ``op.py`` also registers a ``torch.library`` operator, its fake implementation and its gradient.
+- ``reference.py``: a slow and simple implementation with which tests compare every backend.
 
 Kernels for playing baked scenes (``shade``, ``play`` and ``points/arrays.py``) take NumPy arrays and do not import
-torch. The CUDA versions of these kernels are in ``cuda.py`` and take torch tensors.
+torch. Their CUDA versions are in ``cuda.py`` and take torch tensors.
 
 Modules in this folder import only each other and base modules such as :mod:`fourd.cameras`.
 """

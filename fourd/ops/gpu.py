@@ -1,8 +1,8 @@
 """Access to the CUDA kernels for torch tensors: the native module, the stream and scratch memory.
 
-No function of this module waits for the GPU. For CPU tensors, the CUDA sources run in a slow emulator, which executes
-one CUDA thread after another. The emulator is for tests of the kernels on machines without a GPU. The operators use the
-emulator if the environment variable FOURD_SIMD is "emulated".
+No function of this module waits for the GPU. To test the kernels on machines without a GPU, set the environment
+variable FOURD_SIMD to "emulated": the operators then run the CUDA sources for CPU tensors in a slow emulator, which
+executes one CUDA thread after another.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fourd.processes.torchrun import local_rank
 CPU = torch.device("cpu")
 
 DeviceName = Literal["auto", "cpu", "cuda"]
-"""Name of a device. "auto" is a GPU if fourd can use one, and the CPU otherwise."""
+"""Device name. "auto" selects a GPU if fourd can use one, and the CPU otherwise."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Gpu:
     """The kernels of one device.
 
     Attributes:
-        kernels: native module: ``fourd._cuda``, or ``fourd._emulated`` for the CPU.
+        kernels: native module, ``fourd._cuda`` for a GPU or ``fourd._emulated`` for the CPU.
         estimator: native object that predicts the number of (point, tile) pairs of the next image on this device.
         device: device that the kernels run on.
     """
@@ -47,7 +47,7 @@ class Gpu:
         return torch.cuda.current_stream(self.device).cuda_stream if self.device.type == "cuda" else 0
 
     def activate(self) -> AbstractContextManager[Any]:
-        """Return a context manager that makes ``device`` the device on which kernels are launched."""
+        """Return a context manager that selects ``device`` for kernel launches."""
         return torch.cuda.device(self.device) if self.device.type == "cuda" else nullcontext()
 
     def allocate(self, size: int) -> Tensor:
@@ -74,7 +74,7 @@ def load_gpu(device: torch.device) -> Gpu:
 
 @cache
 def cuda_unavailable_reason() -> str:
-    """Return the reason why the CUDA kernels cannot be loaded, or '' if they can be loaded."""
+    """Return the reason why the CUDA kernels cannot be loaded, or '' if they can."""
     try:
         import_module("fourd._cuda")
     except ImportError as cause:
@@ -83,13 +83,13 @@ def cuda_unavailable_reason() -> str:
 
 
 def has_gpu() -> bool:
-    """Return whether CUDA kernels can run on this machine."""
+    """Return True if CUDA kernels can run on this machine."""
     return torch.cuda.is_available() and not cuda_unavailable_reason()
 
 
 def choose_device(name: DeviceName) -> torch.device:
-    """Return the device with the given name. If torchrun has started several processes on this machine, the processes
-    are distributed over the machine's GPUs.
+    """Return the device with the given name. If torchrun has started several processes on this machine, they are
+    distributed over its GPUs.
 
     Raises UserError for "cuda" if fourd cannot use a GPU.
     """
@@ -106,11 +106,11 @@ def choose_device(name: DeviceName) -> torch.device:
 
 
 def uses_gpu_kernels(tensor: Tensor) -> bool:
-    """Return whether operators run CUDA kernels on this tensor. CUDA kernels run if the tensor is on a CUDA device or
-    if the environment variable FOURD_SIMD is "emulated"."""
+    """Return True if operators run CUDA kernels on this tensor: if it is on a CUDA device or the environment variable
+    FOURD_SIMD is "emulated"."""
     return tensor.device.type == "cuda" or simd_name() == "emulated"
 
 
 def contiguous(tensor: Tensor) -> Tensor:
-    """Return the detached tensor in contiguous memory. A tensor that is already contiguous is not copied."""
+    """Return the detached tensor in contiguous memory, copied only if it is not contiguous."""
     return tensor.detach().contiguous()

@@ -1,4 +1,4 @@
-"""Loading of the native module, and the settings of all its kernels: number of threads and instruction set."""
+"""Loads the native module, and selects the number of threads and the instruction set of its kernels."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ def load_native() -> ModuleType:
 
 
 def as_array(tensor: Any) -> Any:
-    """Return a CPU tensor as a contiguous NumPy array. A tensor that is already contiguous is not copied."""
+    """Return a CPU tensor as a contiguous NumPy array, copied only if the tensor is not contiguous."""
     return tensor.detach().contiguous().numpy()
 
 
 def thread_count(threads: int, default: int | None = None) -> int:
     """Return the number of threads that a kernel uses.
 
-    A positive ``threads`` has priority, then the environment variable FOURD_THREADS, then ``default``. If none of the
-    three is set, a kernel uses all available cores.
+    A positive ``threads`` has priority, then the environment variable FOURD_THREADS, then ``default``, then the number
+    of available cores.
 
     Raises:
         ValueError: for a negative ``threads`` or an invalid FOURD_THREADS.
@@ -52,5 +52,6 @@ def thread_count(threads: int, default: int | None = None) -> int:
 
 
 def simd_name() -> str:
-    """Return the instruction set that FOURD_SIMD selects, or '' for the widest available instruction set."""
+    """Return the instruction set that the environment variable FOURD_SIMD selects, or '' for the widest available
+    one."""
     return os.environ.get("FOURD_SIMD", "")

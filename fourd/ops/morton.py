@@ -1,4 +1,4 @@
-"""Morton order (Z-order curve): points that are close in space are stored close together in memory."""
+"""Morton order (Z-order curve), which stores points that are close in space close together in memory."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 BITS = 10
 """Number of bits per axis that :func:`morton_order` compares."""
 MAX_BITS = 21
-"""Maximum number of bits per axis. With this number, the Morton code of three axes has 63 bits."""
+"""Maximum number of bits per axis, which gives Morton codes of 63 bits."""
 _SPREAD = (
     (32, 0x1F00000000FFFF),
     (16, 0x1F0000FF0000FF),
@@ -16,12 +16,12 @@ _SPREAD = (
     (4, 0x10C30C30C30C30C3),
     (2, 0x1249249249249249),
 )
-"""Pairs (shift, mask) of the steps that insert two zero bits before each of the MAX_BITS lowest bits of a number."""
+"""Pairs (shift, mask) for the steps that insert two zero bits before each of the MAX_BITS lowest bits of a number."""
 _LOWEST_BITS = 2**MAX_BITS - 1
 
 
 def morton_order(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return the indices (N,) that stably sort points (N, 3) in Morton order (Morton 1966). Points must be finite."""
+    """Return the indices (N,) that sort finite points (N, 3) stably in Morton order (Morton 1966)."""
     if len(xyz) == 0:
         return np.zeros(0, np.int64)
     lower = xyz.min(axis=0).astype(np.float64)
@@ -45,7 +45,8 @@ def spread_bits(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def gather_bits(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Invert :func:`spread_bits`: collect every third bit of each value, from bit 0 on. The other bits are ignored."""
+    """Invert :func:`spread_bits`: collect every third bit of each value, starting with bit 0, and ignore the other
+    bits."""
     values = values & np.uint64(_SPREAD[-1][1])
     masks = [mask for _, mask in _SPREAD[-2::-1]] + [_LOWEST_BITS]
     for (shift, _), mask in zip(reversed(_SPREAD), masks, strict=True):

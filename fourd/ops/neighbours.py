@@ -1,4 +1,4 @@
-"""Multithreaded search for the nearest neighbours of points. After Ctrl-C, no thread keeps running."""
+"""Multithreaded nearest-neighbour search that Ctrl-C stops cleanly, without leaving threads running."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 from fourd.ops.loading import thread_count
 
 BLOCK = 4096
-"""Number of queried positions per search. On Ctrl-C, running searches are finished, and searches that have not started
-are cancelled."""
+"""Number of queried positions per search. On Ctrl-C, running searches finish, and those that have not started are
+cancelled."""
 
 
 def nearest_neighbours(
@@ -21,8 +21,8 @@ def nearest_neighbours(
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """Find the nearest points of each queried position.
 
-    The argument ``workers`` of scipy's tree is not used: after Ctrl-C, scipy's threads would continue to read arrays
-    that Python has already freed.
+    The function does not use the argument ``workers`` of scipy's tree, because after Ctrl-C, scipy's threads would
+    continue to read arrays that Python has already freed.
 
     Args:
         points: (N, 3) positions.
@@ -31,8 +31,8 @@ def nearest_neighbours(
         threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
 
     Returns:
-        distances and indices of the points, nearest first, (Q, count), or (Q,) if ``count`` is 1. If there are fewer
-        than ``count`` points, the missing distances are infinite and the missing indices are N.
+        distances and indices of the points, nearest first, each (Q, count), or (Q,) if ``count`` is 1. If there are
+        fewer than ``count`` points, missing distances are infinite and missing indices are N.
     """
     tree = cKDTree(points)
     blocks = [queried[start : start + BLOCK] for start in range(0, max(len(queried), 1), BLOCK)]

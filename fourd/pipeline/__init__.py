@@ -1,2 +1,2 @@
-"""The pipeline from videos or a capture to a scene. This package has the stages, the graph that orders the stages, and
-the runner that executes stages and skips finished ones."""
+"""The pipeline from videos or a capture to a scene: the stages, the graph that orders them, and the runner that
+executes them and skips finished ones."""

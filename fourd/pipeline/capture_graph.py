@@ -1,4 +1,5 @@
-"""The stages that produce a capture with mattes and plates. None of these stages needs the packages for training."""
+"""The stages that produce a capture with mattes and plates (images of the background without the subject). None of them
+needs the packages for training."""
 
 from __future__ import annotations
 
@@ -18,25 +19,24 @@ MASKS = "masks"
 
 
 def has_masks(capture: Path) -> bool:
-    """Whether a capture contains masks that the user provided in the folder masks/."""
+    """Return True if the user provided masks in the capture's folder masks/."""
     return bool(camera_folders(capture / MASKS))
 
 
 def is_usable(source: Path) -> bool:
-    """Whether a folder is a capture that needs no import. A capture without masks must be writable, because fourd
-    stores the mattes in the capture's folder."""
+    """Return True if a folder is a capture that needs no import. A capture without masks must be writable, because
+    fourd stores the mattes in its folder."""
     is_capture = (source / INTRINSICS_NAME).is_file() and any((source / name).is_dir() for name in ("images", VIDEOS))
     return is_capture and (has_masks(source) or os.access(source, os.W_OK))
 
 
 def stages_to_capture(source: Path, imported: Path, options: ImportOptions) -> tuple[AnyStage, ...]:
-    """Stages that import ``source`` as a capture into the folder ``imported``.
+    """Return the stages that import ``source`` as a capture into the folder ``imported``.
 
-    The list of stages is empty if ``source`` is already a usable capture.
+    There are none if ``source`` is already a usable capture.
 
     Raises:
-        UserError: if ``options`` contain a calibration although ``source`` is a capture, which already has a
-            calibration.
+        UserError: if ``options`` contain a calibration, but ``source`` is a capture, which already has one.
     """
     if not is_usable(source):
         return (import_stage(source, imported, options),)
@@ -49,7 +49,8 @@ def stages_to_capture(source: Path, imported: Path, options: ImportOptions) -> t
 
 
 def stages_to_mattes(capture: Path, settings: MatteStageSettings, plates: bool = True) -> tuple[AnyStage, ...]:
-    """Stages that make the mattes and the plates of a capture. If the user provided masks, no stage makes mattes."""
+    """Return the stages that make the mattes and the plates of a capture. If the user provided masks, no stage makes
+    mattes."""
     stages: list[AnyStage] = [] if has_masks(capture) else [mattes_stage(capture, settings)]
     if plates:
         stages.append(capture_plates_stage(capture, settings))

@@ -1,4 +1,4 @@
-"""Stages as tasks of a Ray cluster. The nodes exchange results only through files on storage that all nodes share."""
+"""Runs stages as tasks of a Ray cluster. The nodes exchange results only through files on shared storage."""
 
 from __future__ import annotations
 
@@ -21,8 +21,7 @@ from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stage import Context
 
 RETRIES = 3
-"""Maximum number of restarts of a stage. A stage is restarted if its worker or its node is lost. A restarted stage
-resumes its work."""
+"""Maximum number of restarts of a stage whose worker or node is lost. A restarted stage resumes its work."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +30,8 @@ class Job:
 
     Attributes:
         stage: the stage.
-        cores: number of cores. The stage may use this number of threads and this number of processes.
-        folder: folder to which relative paths of the stage refer. None for a portable stage.
+        cores: number of cores, which is also the number of threads and of processes that the stage may use.
+        folder: working folder to which the stage's relative paths refer. None for a portable stage.
         version: the version of fourd that created the stage.
     """
 
@@ -44,7 +43,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a job: the node's name, the printed lines, and the message of a UserError or None."""
+    """Result of a job: the node's name, the printed lines, and the error message if a UserError was raised."""
 
     node: str
     lines: tuple[str, ...] = ()
@@ -71,8 +70,8 @@ def run_job(job: Job) -> Outcome:
     except UserError as error:
         return Outcome(node, tuple(text.getvalue().splitlines()), str(error))
     except KeyboardInterrupt:
-        # If the user stops the work on the web page of ``fourd serve``, the stage gets a KeyboardInterrupt. Without
-        # this handler, the user would get Ray's message about a cancelled task instead of the message below.
+        # Stopping the work on the web page of ``fourd serve`` raises a KeyboardInterrupt here. It is caught, because
+        # Ray would otherwise report a cancelled task instead of the message below.
         stopped = "expected a stage that finishes, got one that was stopped; run the command again to resume"
         return Outcome(node, tuple(text.getvalue().splitlines()), stopped)
     return Outcome(node, tuple(text.getvalue().splitlines()))
@@ -80,7 +79,7 @@ def run_job(job: Job) -> Outcome:
 
 def _set_threads(count: int) -> None:
     """Set the number of threads of this process."""
-    # torch reads OMP_NUM_THREADS when it is imported. Afterwards, only torch.set_num_threads changes the number.
+    # torch reads OMP_NUM_THREADS only when it is imported. Afterwards, torch.set_num_threads is needed.
     for name in ("OMP_NUM_THREADS", "FOURD_THREADS"):
         os.environ[name] = str(count)
     if torch := sys.modules.get("torch"):
@@ -88,15 +87,14 @@ def _set_threads(count: int) -> None:
 
 
 class Cluster:
-    """A Ray cluster to which this process is connected. :meth:`execute` runs stages on the nodes of the cluster."""
+    """A Ray cluster to which this process is connected. :meth:`execute` runs stages on its nodes."""
 
     def __init__(self, ray: Any, segment_cores: int) -> None:
         """Use the cluster to which the module ``ray`` is connected.
 
         Args:
             ray: the module ray. The caller must have called ``ray.init``.
-            segment_cores: number of cores of each parallel stage. A stage that is not parallel uses all cores of a
-                node.
+            segment_cores: number of cores for each parallel stage. Other stages use all cores of a node.
 
         Raises:
             UserError: if no node has ``segment_cores`` cores, or all nodes with cores have left the cluster.
@@ -114,7 +112,7 @@ class Cluster:
             raise UserError(f"--ray-cores: expected 1 to {self._node_cores}, the cores of a node, got {segment_cores}")
 
     def execute(self, stages: Sequence[AnyStage], context: Context) -> Iterator[AnyStage]:
-        """Run stages that do not depend on each other. Each stage is yielded as soon as it is finished.
+        """Run stages that do not depend on each other, and yield each as soon as it is finished.
 
         Raises:
             UserError: if a stage failed. The error is raised after all stages have ended, and its message names the
@@ -128,7 +126,7 @@ class Cluster:
             raise UserError(failures[0] + more)
 
     def _finished(self, stages: Sequence[AnyStage], context: Context, failures: list[str]) -> Iterator[AnyStage]:
-        """Start the stages, and yield each stage when it is finished. Messages of failed stages are appended to
+        """Start the stages, and yield each when it is finished. Messages of failed stages are appended to
         ``failures``."""
         pending = {self._start(stage): stage for stage in stages}
         while pending:
@@ -144,7 +142,7 @@ class Cluster:
 
     def _start(self, stage: AnyStage) -> Any:
         cores = self._segment_cores if stage.is_parallel else self._node_cores
-        # A process that has trained a segment (a range of frames) then trains other segments (max_calls=0), because a
+        # A process that has trained a segment (a range of frames) is reused for other segments (max_calls=0), because a
         # new process needs seconds to import torch. After any other stage, the process ends, which frees its memory.
         calls = 0 if stage.is_parallel else 1
         task = self._ray.remote(num_cpus=cores, max_retries=RETRIES, max_calls=calls)(run_job)
@@ -172,8 +170,8 @@ def join_cluster(address: str, segment_cores: int) -> Iterator[Cluster]:
     """Connect to a Ray cluster for the duration of the ``with`` block.
 
     Args:
-        address: HOST:PORT of a running cluster, or "auto" for the cluster that runs on this machine. With "auto", if no
-        cluster runs, a new cluster is started on this machine and is stopped at the end of the block.
+        address: HOST:PORT of a running cluster, or "auto" for the cluster that runs on this machine. If none runs,
+            "auto" starts one on this machine and stops it at the end of the block.
         segment_cores: see :class:`Cluster`.
 
     Raises:

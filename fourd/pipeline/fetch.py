@@ -1,4 +1,4 @@
-"""Fetch: copies videos or a capture from an object store to the local disk, or to the storage of a cluster."""
+"""Fetch: copies videos or a capture from an object store to the local disk or to a cluster's shared storage."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fourd.storage import StorageUrl, fetch, list_objects
 
 @dataclass(frozen=True)
 class FetchFiles:
-    """The folder that contains the copy. The name of the copy is the last part of the URL."""
+    """The folder that contains the copy, which is named after the last part of the URL."""
 
     folder: Path
 
@@ -33,7 +33,7 @@ def fetch_stage(url: StorageUrl, folder: Path) -> Stage[FetchFiles, FetchSetting
 
 
 def fetched_path(url: StorageUrl, folder: Path) -> Path:
-    """Path of the copy that the fetch stage writes."""
+    """Return the path of the copy that the fetch stage writes."""
     return folder / url.name
 
 

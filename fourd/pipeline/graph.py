@@ -1,9 +1,8 @@
-"""The graph of stages. This module selects the stages that an input needs, and orders them by their dependencies.
+"""Selects the stages that an input needs, and orders them by their dependencies.
 
 The order of the stages is import, check, repair, mattes, plates, adjust, carve (or points), background, train, bake.
-The config and the contents of the capture decide which stages are needed. The relevant settings of the config are the
-kind of scene, camera refinement, given points and segments. A run with segments has one training stage for each
-segment.
+Which stages are needed depends on the contents of the capture and on these settings: the kind of scene, camera
+refinement, given points and segments. A run with segments has one training stage for each segment.
 """
 
 from __future__ import annotations
@@ -36,12 +35,11 @@ class RunRequest:
         capture: the capture's folder.
         run: the run's folder.
         train: the training config.
-        points_from: folder with the user's points as FRAME.ply files. These points are used instead of carved points.
-            If None, the points are carved.
+        points_from: folder with the user's points as FRAME.ply files, which replace the carved points. If None, the
+            points are carved.
         lpips_weights: file or folder with the weights of LPIPS. If None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
-        still: true if nothing moves in the scene. A scene without motion has no foreground; see
-            :mod:`fourd.pipeline.stages.still`.
+        still: true if nothing moves in the scene, which then has no foreground; see :mod:`fourd.pipeline.stages.still`.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
     """
 
@@ -55,12 +53,12 @@ class RunRequest:
 
 
 def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage, ...]:
-    """Stages that compute all inputs of training. The capture must have masks or mattes.
+    """Return the stages that compute all inputs of training. The capture must have masks or mattes.
 
     Args:
         request: the run.
-        plates: whether to include the stage that makes the missing plates of the run. Pass False if another stage of
-            the graph already makes the plates.
+        plates: whether to include the stage that makes the run's missing plates. Pass False if another stage already
+            makes them.
     """
     capture, run, train = request.capture, request.run, request.train
     selection, adjusted = DataSelection.of(train), train.refine.cameras
@@ -90,25 +88,26 @@ def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple
 
 
 def stages_to_run(request: RunRequest) -> tuple[AnyStage, ...]:
-    """Stages that train a run. The capture must have masks or mattes."""
+    """Return the stages that train a run. The capture must have masks or mattes."""
     files = TrainFiles(request.capture, request.run, request.lpips_weights)
     return (*stages_to_first_points(request), *training_stages(files, request.train))
 
 
 def training_stages(files: TrainFiles, config: TrainConfig) -> tuple[AnyStage, ...]:
-    """The stage that trains a run. A run with segments is first divided, and each segment is trained by one stage."""
+    """Return the stage that trains a run. For a run with segments, return the stage that divides it and one training
+    stage for each segment."""
     if config.segments.frames is None:
         return (train_stage(files, config),)
     return (divide_stage(files, config), *segment_stages(files, config))
 
 
 def stages_to_resume(files: TrainFiles, config: TrainConfig) -> tuple[AnyStage, ...]:
-    """Stages that continue the training of an existing run."""
+    """Return the stages that continue the training of an existing run."""
     return (train_stage(files, config),) if config.segments.frames is None else segment_stages(files, config)
 
 
 def stages_to_scene(request: RunRequest, mattes: MatteSettings | None, scene: Path) -> tuple[AnyStage, ...]:
-    """Stages that make the scene file ``scene`` from a capture that was already checked.
+    """Return the stages that make the scene file ``scene`` from a capture that was already checked.
 
     If ``mattes`` is None, the capture already has its mattes.
     """

@@ -41,23 +41,22 @@ REPAIRED = "repaired"
 STILL = "still"
 RUN = "run"
 SCENE = "scene.4dv"
-"""Name of the scene file if the folder for intermediate results is in an object store. The name does not depend on the
-option -o."""
+"""Name of the scene file, independent of the option -o, if the folder for intermediate results is in an object
+store."""
 UPLOADED = "uploaded.json"
-"""File that records the last upload: the state of the local scene file, and the state of the object in the store."""
+"""File that records the last upload: the states of the local scene file and of the object in the store."""
 
 
 @dataclass(frozen=True)
 class MatteChoice:
-    """Settings of the mattes. If ``keep_chosen`` is true, mattes that the user made with options of ``fourd matte`` are
+    """Settings of the mattes. If ``keep_chosen`` is true, mattes whose method the user chose with ``fourd matte`` are
     kept."""
 
     settings: MatteSettings
     keep_chosen: bool = False
 
     def settings_for(self, capture: Path, context: Context) -> MatteSettings | None:
-        """The settings for making mattes of ``capture``, or None if its mattes are kept. If the mattes are kept, a log
-        line reports this."""
+        """Return the settings for making mattes of ``capture``, or None if its mattes are kept, which is logged."""
         method = chosen_method(capture) if self.keep_chosen and not has_masks(capture) else None
         if method is None:
             if not self.keep_chosen:
@@ -71,8 +70,8 @@ class MatteChoice:
 
 @dataclass(frozen=True)
 class SceneRequest:
-    """The arguments of :func:`make_scene` that do not depend on the folder for intermediate results. The paths of the
-    capture and of the run in ``run`` are not set yet.
+    """The arguments of :func:`make_scene` that do not depend on the folder for intermediate results. In ``run``, the
+    paths of the capture and of the run are not yet set.
     """
 
     source: Location
@@ -100,30 +99,28 @@ def make_scene(
 ) -> None:
     """Run every stage from ``source`` to the scene file ``out``.
 
-    Intermediate results are kept in the folder ``work``. This folder contains ``run/``, ``stages.json`` and, if
-    ``source`` needs an import, ``capture/``. If the stage ``repair`` corrects the calibration, the folder also contains
-    ``repaired/``, the capture with the corrected calibration. After a change of an input or a setting, the next call
-    repeats only the stages that depend on this input or setting. A stage that was interrupted resumes.
+    Intermediate results are kept in the folder ``work``: ``run/``, ``stages.json``, ``capture/`` if ``source`` needs an
+    import, and ``repaired/``, the capture with a corrected calibration, if the stage ``repair`` corrects it. After a
+    change of an input or a setting, the next call repeats only the stages that depend on it. Interrupted stages resume.
 
     Args:
         source: a capture, or any source that :mod:`fourd.importing` can read. A URL is copied to ``work/source/``.
-        out: the .4dv file to write. For a URL, the file is written in ``work`` and then uploaded.
+        out: the .4dv file to write. If it is a URL, the file is written in ``work`` and then uploaded.
         train: the training config.
         mattes: settings of the mattes. Mattes are made only if the capture has no masks.
         context: console, and number of processes.
-        points_from: folder with the user's points as FRAME.ply files. These points are used instead of carved points.
+        points_from: folder with the user's points as FRAME.ply files, which replace the carved points.
         lpips_weights: file or folder with the weights of LPIPS. If None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
-        imports: options of the import. If the options contain a frame rate, the rate is stored in ``source`` even if
-            ``source`` needs no import. If None, the default options are used.
+        imports: options of the import; None for the default options. A frame rate is stored in ``source`` even if
+            ``source`` needs no import.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
-        keep_chosen_mattes: whether to keep mattes that the user made with options of ``fourd matte``. If false, these
-            mattes are replaced by mattes with the settings in ``mattes``.
+        keep_chosen_mattes: whether to keep mattes whose method the user chose with ``fourd matte``. If false, they are
+            replaced by mattes with the settings in ``mattes``.
         cluster: the cluster on which the stages run. If None, the stages run in this process.
-        work: the folder for intermediate results. If None, the folder has the name of ``out`` with the suffix
-            ``.work``. This folder is beside ``out``, or in the current folder if ``out`` is a URL. If ``work`` is a
-            URL, each machine works in a local copy, and publishes the results of each stage; see
-            :mod:`fourd.pipeline.stored`.
+        work: the folder for intermediate results. If None, it has the name of ``out`` with the suffix ``.work``, and is
+            beside ``out``, or in the current folder if ``out`` is a URL. If ``work`` is a URL, each machine works in a
+            local copy and publishes the results of each stage; see :mod:`fourd.pipeline.stored`.
 
     Raises:
         UserError: if the input is invalid, if a store refuses a request, or if the folder for intermediate results
@@ -156,8 +153,8 @@ def _make_in_folder(request: SceneRequest, folder: Path, runner: Runner) -> None
 
 
 def _make_stored(request: SceneRequest, url: StorageUrl, execute: Execute, is_parallel: bool) -> None:
-    """Run the stages of :func:`make_scene`, and store the results at ``url``. Paths in the local copy of ``url`` differ
-    between the machines. All other paths must be valid on every machine, so relative paths are made absolute."""
+    """Run the stages of :func:`make_scene`, and store the results at ``url``. Each machine has its own path of the
+    local copy of ``url``. All other paths must be valid on every machine, so relative ones are made absolute."""
     if is_parallel and url.scheme == "memory":
         raise UserError(f"{url}: expected a store that all nodes can reach, got the memory of this process; use s3://")
     out, context, given = request.out, request.context, request.run
@@ -204,7 +201,7 @@ def _copy_changed(source: Path, target: Path) -> None:
 
 
 def _local_source(source: Location, work: Path, runner: Runner) -> Path:
-    """Return the path of the source. A source at a URL is first copied into the folder ``work``."""
+    """Return the local path of the source. If it is a URL, first copy the source into the folder ``work``."""
     if isinstance(source, Path):
         return source
     runner.run([fetch_stage(source, work / SOURCE)])
@@ -212,8 +209,8 @@ def _local_source(source: Location, work: Path, runner: Runner) -> Path:
 
 
 def _run_graph(request: SceneRequest, source: RunRequest, work: Path, out: Path, runner: Runner) -> None:
-    """Run the stages of :func:`make_scene` in the locked folder for intermediate results. ``source`` describes the run.
-    The field ``source.capture`` is the path of the input, which may need an import. ``out`` is a local file."""
+    """Run the stages of :func:`make_scene` in the locked folder for intermediate results. ``source`` describes the run,
+    and its field ``capture`` is the path of the input, which may need an import. ``out`` is a local file."""
     given, train, options, context = source.capture, source.train, request.imports, request.context
     to_capture = stages_to_capture(given, work / CAPTURE, options)
     remove_unfinished_file(out)
@@ -224,7 +221,7 @@ def _run_graph(request: SceneRequest, source: RunRequest, work: Path, out: Path,
         else:
             set_rate(given, options.fps)
     runner.run(to_capture)
-    # All later stages depend on the contents of the imported capture, so the import runs first.
+    # The import runs first, because the contents of the imported capture decide which stages follow.
     capture = work / CAPTURE if to_capture else given
     runner.run((check_stage(capture), repair_stage(capture, work / REPAIRED)))
     capture = repaired_capture(capture, work / REPAIRED)
@@ -234,14 +231,14 @@ def _run_graph(request: SceneRequest, source: RunRequest, work: Path, out: Path,
         runner.run((still_stage(capture, work / STILL),))
         capture = work / STILL
     run = replace(source, capture=capture, train=train, still=is_still)
-    # For a capture with the user's masks, no mattes are made, and the capture may be on a read-only disk. The folder
-    # .fourd/ of the capture is therefore locked only if there are no masks.
+    # The capture's folder .fourd/ is locked only if there are no masks from the user. With such masks, no mattes are
+    # written, and the capture may be on a read-only disk.
     with nullcontext() if has_masks(capture) else locked_folder(capture / DERIVED):
         runner.run(stages_to_scene(run, request.mattes.settings_for(capture, context), out))
 
 
 def _work_folder(out: Location, given: Path | None) -> Path:
-    """The folder for the intermediate results of ``out``. Raises UserError if the folder contains files and was not
+    """Return the folder for the intermediate results of ``out``. Raises UserError if it contains files and was not
     created by ``fourd make``."""
     local = out if isinstance(out, Path) else Path(out.name)
     work = local.with_suffix(".work") if given is None else given
@@ -256,14 +253,13 @@ def _work_folder(out: Location, given: Path | None) -> Path:
 def create_run(
     capture: Path, folder: Path, train: TrainConfig, points_from: Path | None = None, context: Context | None = None
 ) -> Run:
-    """Run all stages that precede training, and write the run's config.yaml. After an interrupted call, a second call
-    resumes.
+    """Run all stages that precede training, and write the run's config.yaml. Repeat an interrupted call to resume it.
 
     Args:
         capture: the capture's folder, with masks or mattes.
-        folder: the run's folder. The folder must be new, empty, or left by an interrupted call.
+        folder: the run folder, which must be new, empty, or left by an interrupted call.
         train: the training config.
-        points_from: folder with the user's points as FRAME.ply files. These points are used instead of carved points.
+        points_from: folder with the user's points as FRAME.ply files, which replace the carved points.
         context: console, and number of processes. If None, the stages use one process and print nothing.
 
     Raises:

@@ -1,5 +1,5 @@
-"""Plan of ``fourd make``: a list of the stages that will run, and a rough estimate of their durations. The plan is
-printed before the stages start."""
+"""Computes the plan that ``fourd make`` prints before the stages start: the stages that will run, and rough estimates
+of their durations."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ class SourceFacts:
 
     Attributes:
         cameras: number of cameras.
-        frames: number of selected frames of each camera, or None if the headers of the videos do not contain this
-            number.
+        frames: number of selected frames of each camera, or None if the video headers do not contain the number of
+            frames.
         megapixels: size of one image in megapixels.
         has_mattes: whether the source has mattes for all cameras.
         needs_import: whether the source must be imported as a capture.
@@ -56,7 +56,7 @@ class SourceFacts:
 
 
 def describe_plan(source: Path, train: TrainConfig, workers: int, has_points: bool = False) -> str:
-    """One line of text with the stages from ``source`` to a scene and the expected duration of these stages.
+    """Return one line of text with the stages from ``source`` to a scene and their expected durations.
 
     Args:
         source: a capture, or a source that :mod:`fourd.importing` can read.
@@ -79,7 +79,7 @@ def describe_plan(source: Path, train: TrainConfig, workers: int, has_points: bo
 
 
 def _stage_durations(facts: SourceFacts, train: TrainConfig, workers: int, has_points: bool) -> list[tuple[str, float]]:
-    """Names of the stages in the order in which they run, and the expected duration of each stage in seconds."""
+    """Return the stages in the order in which they run: the name and the expected duration in seconds of each."""
     frames = facts.frames or 1
     pictures_mp = facts.cameras * frames * facts.megapixels
     stages = []
@@ -115,7 +115,7 @@ def _read_facts(source: Path, train: TrainConfig) -> SourceFacts:
     if needs_import:
         imported = pick_format(None, source).read(source)
     else:
-        # The plan ignores errors in a capture, because the check stage reports these errors later.
+        # The plan ignores errors in a capture, because the check stage reports them later.
         imported = Imported((), ())
         with suppress(UserError):
             imported = pick_format(None, source).read(source)
@@ -131,8 +131,8 @@ def _read_facts(source: Path, train: TrainConfig) -> SourceFacts:
 
 
 def _measure(frames: Frames) -> tuple[int | None, tuple[int, int]]:
-    """Number of frames and image size (width, height) of a camera. The number of frames is None if the header of the
-    video does not contain it."""
+    """Return the number of frames and the image size (width, height) of a camera. The number is None if the video
+    header does not contain it."""
     if isinstance(frames, PictureFiles):
         return len(frames.paths), picture_size(frames.paths[0])
     if isinstance(frames, EncodedPictures):

@@ -12,14 +12,14 @@ from fourd.limits import read_json
 from fourd.pipeline.stage import Context, Stage
 
 if TYPE_CHECKING:
-    # StoredResults is imported only for type checkers. It imports the packages for training, and the runner must also
-    # run without these packages.
+    # StoredResults is imported only for type checkers, because it imports the packages for training, and the runner
+    # must also run without them.
     from fourd.pipeline.stored.results import StoredResults
 
 AnyStage = Stage[Any, Any]
 Execute = Callable[[Sequence[AnyStage], Context], Iterator[AnyStage]]
-"""Function that runs the work of stages that do not depend on each other. The function yields each stage when the
-outputs of the stage are written."""
+"""Function that runs the work of stages that do not depend on each other, and yields each stage when its outputs are
+written."""
 
 
 def run_here(stages: Sequence[AnyStage], context: Context) -> Iterator[AnyStage]:
@@ -32,11 +32,10 @@ def run_here(stages: Sequence[AnyStage], context: Context) -> Iterator[AnyStage]
 class Runner:
     """Runs stages in a given order.
 
-    If a record file is given, the runner prints the state of each stage. The runner skips a stage if its outputs exist
-    and its key (see :meth:`Stage.key`) is the same as in the record file. Before the runner starts a stage whose key
-    has changed, it removes the files that were written with the old key. If no record file is given, the runner
-    executes every stage and prints nothing. Without a record file, the stages themselves detect and keep finished
-    files.
+    If a record file is given, the runner prints the state of each stage. It skips a stage if its outputs exist and its
+    key (see :meth:`Stage.key`) is the same as in the record file. Before it starts a stage whose key has changed, it
+    removes the files that were written with the old key. Without a record file, the runner executes every stage and
+    prints nothing; the stages themselves detect and keep finished files.
     """
 
     def __init__(
@@ -52,13 +51,11 @@ class Runner:
 
         Args:
             context: console, and number of processes for the stages' work.
-            record: JSON file with the key of each started and each finished stage. The runner writes this file
-                atomically after each change.
-            execute: function that runs the work of stages. To run stages in other processes or on a cluster, pass
-                another function.
+            record: JSON file with the key of each started and each finished stage, which is written atomically after
+                each change.
+            execute: function that runs the work of stages, for example in other processes or on a cluster.
             is_parallel: whether ``execute`` runs several stages at the same time.
-            stored: results in an object store. If given, the stored results replace the record file and the local
-                results.
+            stored: results in an object store, which replace the record file and the local results.
         """
         self._context = context
         self._record = record
@@ -81,13 +78,12 @@ class Runner:
                 self._write({stage.name: self._keys[stage.name]})
                 self._report(f"{stage.name}: finished{self._result(stage)}")
             if self._stored is not None:
-                # The results are copied to this machine for two reasons: the files decide which stages come next, and
-                # the keys of the next stages depend on the files.
+                # The results are copied to this machine, because the next stages and their keys depend on these files.
                 self._stored.copy()
 
     def _start(self, stage: AnyStage) -> bool:
-        """Return whether the work of the stage must run. If the work must run, files that were written with an older
-        key are removed."""
+        """Return whether the work of the stage must run. If it must, first remove the files that were written with an
+        older key."""
         if self._stored is not None:
             return self._start_stored(stage, self._stored)
         key = self._keys[stage.name] = stage.key(self._keys)
@@ -95,8 +91,8 @@ class Runner:
             self._report(f"{stage.name}: up to date{self._result(stage)}")
             return False
         if self._record is not None and self._known.get(_started(stage)) != key:
-            # The keys are deleted before the files are removed. If the removal of the files is interrupted, no key
-            # matches the remaining files.
+            # The keys are deleted before the files, so that no key matches the remaining files if the removal is
+            # interrupted.
             self._write({stage.name: None, _started(stage): None})
             for leftovers in stage.leftovers:
                 leftovers.remove()
@@ -105,8 +101,8 @@ class Runner:
         return True
 
     def _start_stored(self, stage: AnyStage, stored: StoredResults) -> bool:
-        """Return whether the work of the stage must run. The machine that runs the stage removes files with an older
-        key."""
+        """Return whether the work of the stage must run. Files with an older key are removed by the machine that runs
+        it."""
         key = self._keys[stage.name] = stage.key(self._keys, stored.root)
         is_due = not stored.is_finished(stage, key)
         self._report(f"{stage.name}: {'running' if is_due else 'up to date'}")
@@ -129,7 +125,7 @@ class Runner:
 
 
 def _split(stages: Sequence[AnyStage]) -> list[list[AnyStage]]:
-    """Split stages into groups of consecutive stages. The stages of a group can run at the same time."""
+    """Split stages into groups of consecutive stages that can run at the same time."""
     groups: list[list[AnyStage]] = []
     for stage in stages:
         before = groups[-1] if groups else []
@@ -142,13 +138,12 @@ def _split(stages: Sequence[AnyStage]) -> list[list[AnyStage]]:
 
 
 def _started(stage: AnyStage) -> str:
-    """Name of the entry in the record file that stores the key of a started stage."""
+    """Return the name of the record file's entry with the key of a started stage."""
     return f"{stage.name} started"
 
 
 def _read_record(record: Path | None) -> dict[str, str]:
-    """Read the keys from a record file. If the file is missing or damaged, no keys are returned, so that all stages
-    run."""
+    """Read the keys from a record file. If it is missing or damaged, return no keys, so that all stages run."""
     if record is None:
         return {}
     try:

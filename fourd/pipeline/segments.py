@@ -1,8 +1,8 @@
-"""Stages of a run with segments. The stages before training work on all frames. After these stages, each segment is
-trained by its own stage, as a separate run in ``RUN/segments/``.
+"""Stages of a run with segments (ranges of frames with separate models). The stages before training work on all frames.
+Then each segment is trained by its own stage, as a separate run in ``RUN/segments/``.
 
-The run of a segment has its own links to the initial points of its frames. A segment's run can therefore be trained,
-resumed, evaluated and played like any run, on any machine that has the capture.
+The run of a segment has its own links to the initial points of its frames, so it can be trained, resumed, evaluated and
+played like any run, on any machine that has the capture.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ DIVIDE = "segments"
 
 @dataclass(frozen=True)
 class DivideFiles:
-    """The folders of the capture and of the run. The config of the run is written to the folder of the run."""
+    """The folders of the capture and of the run. The config is written to the run folder."""
 
     capture: Path
     run: Path
@@ -58,8 +58,8 @@ class SegmentFiles:
     Attributes:
         run: the folder of the whole run.
         segment: the folder of the segment's run.
-        previous: the folder of the previous segment, from whose networks the training starts. If None, the training
-            starts from untrained networks.
+        previous: the folder of the previous segment, whose networks initialise the training. If None, the networks
+            start untrained.
         lpips_weights: file or folder with the weights of LPIPS. If None, the default locations are searched.
     """
 
@@ -127,14 +127,14 @@ def run_segment(files: SegmentFiles, config: TrainConfig, context: Context) -> N
     is not trained again."""
     group = context.group or ALONE
     # The folder is locked, because the same task may run twice: if the cluster loses the connection to a node, it
-    # starts the node's task again on another node.
+    # restarts the node's task on another node.
     with locked_folder(files.segment) if group.is_first else nullcontext():
         if group.is_first:
             _prepare_segment(files, config)
         group.barrier()
         train_run(files.segment, files.lpips_weights, config, context)
-    # The trainer contains reference cycles. Without this call, the trainer's memory would stay allocated while the next
-    # segments are trained.
+    # The trainer contains reference cycles, so its memory would otherwise stay allocated while the next segments are
+    # trained.
     gc.collect()
 
 
@@ -160,8 +160,8 @@ def _start_segment(whole: Run, folder: Path, config: TrainConfig) -> None:
 
 
 def _link(source: Path, target: Path) -> None:
-    """Create a hard link to a file, or copy the file if the file system has no hard links. A hard link is safe, because
-    no stage changes the file in place."""
+    """Create a hard link to a file, or copy it if the file system has no hard links. A hard link is safe, because no
+    stage changes the file in place."""
     with atomic_path(target) as temporary:
         temporary.unlink()
         try:

@@ -1,4 +1,4 @@
-"""A stage: a frozen, picklable description of one step of the pipeline. The step reads files and writes files."""
+"""A stage: a frozen, picklable description of one step of the pipeline, which reads and writes files."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class NoSettings:
 
 @dataclass(frozen=True)
 class Context:
-    """Runtime context of a stage: a console, and the number of processes. The context does not affect the results of a
-    stage, with one exception: the number of ranks determines the order in which views are trained.
+    """Runtime context of a stage. It does not affect the results of a stage, except that the number of ranks determines
+    the order in which views are trained, and that a GPU rounds differently from a CPU.
 
     Attributes:
         console: console on which progress and log lines are printed.
@@ -61,7 +61,7 @@ class Context:
 
 @dataclass(frozen=True)
 class Artefact:
-    """Files that a stage reads. The version of the files is identified by their names, sizes and modification times.
+    """Files that a stage reads. Their version is identified by their names, sizes and modification times.
 
     Attributes:
         path: a file, or a folder to which ``patterns`` are relative.
@@ -72,9 +72,8 @@ class Artefact:
     patterns: tuple[str, ...] = ()
 
     def fingerprint(self, root: Path | None = None) -> str:
-        """A hash of two things: the path, and a list of all files with their names, sizes and modification times. The
-        contents of the files are not read. If the path is in the folder ``root``, the path relative to ``root`` is
-        hashed."""
+        """Return a hash of the path, and of the names, sizes and modification times of all files, whose contents are
+        not read. If the path is in the folder ``root``, the path relative to ``root`` is hashed."""
         files = [file for pattern in self.patterns for file in sorted(self.path.glob(pattern))]
         if not self.patterns and self.path.exists():
             files = [self.path]
@@ -82,7 +81,7 @@ class Artefact:
         for file in files:
             try:
                 status = file.stat()
-            except OSError:  # A link to a missing file or to itself. The stage reports the broken link.
+            except OSError:  # A link to a missing file or to itself, which the stage reports later.
                 status = file.lstat()
             entries.append(f"{file.relative_to(self.path)} {status.st_size} {status.st_mtime_ns}")
         return _digest(entries)
@@ -90,11 +89,11 @@ class Artefact:
 
 @dataclass(frozen=True)
 class Leftovers:
-    """Files that a stage may have written with an older key. The runner removes these files before the stage starts
-    with a new key.
+    """Files that a stage may have written with an older key (see :meth:`Stage.key`). The runner removes them before the
+    stage starts with a new key.
 
     Attributes:
-        folder: the folder to empty. The folder may be missing.
+        folder: the folder to empty, which may be missing.
         keep: names of files and subfolders to keep, because they belong to other stages.
     """
 
@@ -121,16 +120,15 @@ class Stage(Generic[Files, Settings]):
 
     Attributes:
         name: name of the stage, unique within a graph.
-        work: a module-level function that reads and writes ``files`` according to ``settings``. If a call was
-            interrupted, a second call with the same arguments resumes the work.
+        work: a module-level function that reads and writes ``files`` according to ``settings``. Repeating an
+            interrupted call with the same arguments resumes the work.
         files: dataclass with the paths that ``work`` reads and writes.
-        settings: dataclass with all parameters that affect the result, apart from the contents of files. The settings
-            are part of the key.
-        inputs: artefacts that ``work`` reads. The fingerprints of the artefacts are part of the key.
-        outputs: paths that ``work`` writes. All outputs exist after the stage has finished.
+        settings: dataclass with all parameters that affect the result, apart from the contents of files. They are part
+            of the key.
+        inputs: artefacts that ``work`` reads. Their fingerprints are part of the key.
+        outputs: paths that ``work`` writes. They all exist when the stage has finished.
         leftovers: files to remove before ``work`` starts with a new key.
-        after: names of stages that must finish before this stage. The keys of these stages are part of this stage's
-            key.
+        after: names of stages that must finish before this stage. Their keys are part of this stage's key.
         is_parallel: whether the stage may run at the same time as adjacent parallel stages in the graph. A stage never
             runs at the same time as the stages in its ``after``.
         is_portable: whether the stage can run on a machine that shares no folder with the machine that created the
@@ -151,13 +149,13 @@ class Stage(Generic[Files, Settings]):
     has_checkpoints: bool = False
 
     def key(self, keys: Mapping[str, str], root: Path | None = None) -> str:
-        """A hash of everything on which the result of the stage depends.
+        """Return a hash of everything on which the result of the stage depends.
 
         Args:
             keys: maps the name of each earlier stage to its key. Names in ``after`` that are missing in ``keys`` are
                 ignored.
-            root: folder for intermediate results, or None. The folder may have a different path on each machine, so the
-                key does not depend on its path.
+            root: folder for intermediate results, or None. Its path may differ between machines, so the key does not
+                depend on it.
         """
         parts = [
             self.name,
@@ -168,7 +166,7 @@ class Stage(Generic[Files, Settings]):
         return _digest(parts)
 
     def is_finished(self) -> bool:
-        """Whether all outputs exist."""
+        """Return True if all outputs exist."""
         return all(path.exists() for path in self.outputs)
 
     def run(self, context: Context | None = None) -> None:
@@ -177,7 +175,7 @@ class Stage(Generic[Files, Settings]):
 
 
 def _place(path: Path, root: Path | None) -> str:
-    """The absolute path, or the path relative to ``root`` if the path is in the folder ``root``."""
+    """Return the path relative to ``root`` if it is in the folder ``root``, otherwise the absolute path."""
     absolute = resolved(path)
     if root is not None and absolute.is_relative_to(resolved(root)):
         return absolute.relative_to(resolved(root)).as_posix()

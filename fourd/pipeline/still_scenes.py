@@ -18,18 +18,18 @@ from fourd.training.config import TrainConfig
 SAMPLED_FRAMES = 5
 WIDTH_PX = 320
 MIN_DIFFERENCE = 24.0
-"""A pixel counts as changed if its grey level changes by more than this value. The images are blurred before the
-comparison, so that changes by sensor noise stay below this value."""
+"""A pixel counts as changed if one of its channels, from 0 to 255, changes by more than this value. The images are
+blurred before the comparison, so that changes by sensor noise stay below it."""
 MAX_CHANGED = 1e-4
-"""Maximum share of changed pixels in a capture in which nothing moves."""
+"""Maximum fraction of changed pixels in an image of a capture in which nothing moves."""
 
 
 def stands_still(capture: Path, train: TrainConfig) -> bool:
-    """Whether a capture has no mattes and shows no motion. Captures with only one selected frame show no motion.
+    """Return True if a capture has no mattes and shows no motion, which includes captures with only one selected frame.
 
     Raises:
-        UserError: if the capture cannot be opened, or if nothing moves and ``train.scene`` is ``object``. A scene of
-            the kind ``object`` needs mattes.
+        UserError: if the capture cannot be opened, or if nothing moves and ``train.scene`` is ``object``, which needs
+            mattes.
     """
     if has_masks(capture) or (capture / MATTES).is_dir():
         return False
@@ -50,7 +50,7 @@ def stands_still(capture: Path, train: TrainConfig) -> bool:
 
 
 def _has_motion(capture: Capture) -> bool:
-    """Whether the images of any camera change between a few sampled frames."""
+    """Return whether the images of any camera change between a few sampled frames."""
     frames = sample_indices(capture.frame_count, SAMPLED_FRAMES)
     for index in range(len(capture.names)):
         greys = [cv2.GaussianBlur(capture.image(index, frame).astype(np.float32), (0, 0), 1.0) for frame in frames]
@@ -60,7 +60,7 @@ def _has_motion(capture: Capture) -> bool:
 
 
 def still_config(train: TrainConfig, capture: Path, log: Log) -> TrainConfig:
-    """The config of a scene without foreground: only one frame is used, and all steps train the background."""
+    """Return the config for a scene without foreground: only one frame is used, and all steps train the background."""
     views = None if train.views is None else list(train.views)
     with open_capture(capture, views=views, frames=train.frames) as opened:
         first, count = opened.frame_numbers[0], opened.frame_count

@@ -10,8 +10,8 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def handle_termination() -> None:
-    """Make SIGTERM raise KeyboardInterrupt, as Ctrl-C does. A command that is ended by a batch system or a container
-    then removes unfinished files, and training saves a checkpoint.
+    """Make SIGTERM raise KeyboardInterrupt, as Ctrl-C does, so that commands remove unfinished files and training saves
+    a checkpoint when a batch system or a container ends them.
 
     Call this function again after imports: some C++ libraries replace the handler of SIGTERM when they are loaded.
     """
@@ -22,8 +22,8 @@ class DeferredInterrupt:
     """A context manager. Inside the ``with`` block, the first Ctrl-C only sets :attr:`is_pending`, and the second
     Ctrl-C raises KeyboardInterrupt. SIGTERM is deferred in the same way after a call of :func:`handle_termination`.
 
-    Signals are deferred only in the main thread, because Python handles signals only in the main thread. The context
-    manager has no effect on a signal that the process ignores or for which the process has its own handler.
+    Outside the main thread, nothing is deferred, because Python handles signals only in the main thread. Signals that
+    the process ignores or for which it has its own handler are not affected.
     """
 
     def __init__(self) -> None:

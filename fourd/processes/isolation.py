@@ -1,8 +1,8 @@
-"""Runs parsers of third-party libraries in a child process, so that a crash, a hang or a lack of memory leads to an
-error message.
+"""Runs third-party parsers in a child process, so that a crash, a hang or a lack of memory leads to an error message.
 
-The child process runs :mod:`fourd.processes.worker`. Requests and replies are JSON, followed by plain bytes. A reply
-never contains pickled objects, because a damaged file may have changed the memory of the child process.
+The child process runs :mod:`fourd.processes.worker`. Requests and replies are JSON, followed by plain bytes. Replies
+are not pickled, because a malicious file could take over the child process, and unpickling its reply could run any
+code.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from fourd.limits import printable
 from fourd.processes.worker import CRASHED, MAX_REPLY_BYTES, read_message, write_message
 
 SECONDS = 8.0
-"""Maximum processor time in seconds of a call for an empty file."""
+"""Maximum CPU time of a call in seconds, for an empty file."""
 SECONDS_PER_MB = 10.0
-"""Additional processor time in seconds for each MiB of the file. Decoding of one keyframe interval of a strongly
-compressed video needs a few seconds for each MiB."""
+"""Additional CPU time in seconds for each MiB of the file. Decoding one keyframe interval of a strongly compressed
+video takes a few seconds per MiB."""
 MAX_BYTES = 2 << 30
 """Memory in bytes that the child process may use."""
 START = "import json, sys; sys.path[:] = json.loads(sys.argv.pop()); from fourd.processes.worker import main; main()"
-"""Program of the child process. Python runs it in isolated mode, so that no module is imported from the working
+"""Program of the child process. It runs in Python's isolated mode, so that no module is imported from the working
 directory."""
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that limit libraries to 1 thread, because the buffers of idle threads count as used memory."""
 WAIT_FACTOR = 20.0
-"""The child process is ended if the wall-clock time of a call exceeds this factor times the call's limit of processor
-time. The factor is large because other programs may use the processor, and disks may be slow."""
+"""The child process is killed if the wall-clock time of a call exceeds this factor times its CPU time limit. The factor
+is large because other programs may use the CPU, and disks may be slow."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Reply:
     """The result of a call.
 
     Attributes:
-        value: JSON value. The child process has read untrusted files, so the caller must check the value.
+        value: JSON value, which the caller must check, because the child process has read untrusted files.
         content: bytes, such as an encoded image.
     """
 
@@ -54,7 +54,7 @@ class Reply:
 
 
 class ParserProcess:
-    """A child process that parses untrusted files. The process starts with the first call, and again after a crash.
+    """A child process that parses untrusted files. It is started by the first call, and again after a crash.
 
     Use the object as a context manager, or call :meth:`close`. The child process also ends when the object is deleted
     or this process ends. The object is not thread-safe.
@@ -71,11 +71,11 @@ class ParserProcess:
         self.close()
 
     def __reduce__(self) -> tuple[type[ParserProcess], tuple[()]]:
-        """Pickle the object without its child process. After unpickling, the next call starts another child process."""
+        """Pickle the object without its child process. After unpickling, the next call starts a new one."""
         return ParserProcess, ()
 
     def close(self) -> None:
-        """End the child process. The next call starts another child process."""
+        """End the child process. The next call starts a new one."""
         if self._stop is not None:
             self._stop()
         self._process = self._stop = None
@@ -128,7 +128,7 @@ class ParserProcess:
         return self._process
 
     def _crashed(self, path: Path) -> UserError:
-        """End the child process, and describe why it did not reply."""
+        """End the child process, and return an error that says why it did not reply."""
         process = self._process
         assert process is not None
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -147,7 +147,7 @@ class ParserProcess:
 
 
 def _size(path: Path) -> int:
-    """Size in bytes of a file, or of all files directly in a folder."""
+    """Return the size in bytes of a file, or of all files directly in a folder."""
     try:
         files = path.iterdir() if path.is_dir() else [path]
         return sum(file.stat().st_size for file in files if file.is_file())

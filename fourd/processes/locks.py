@@ -1,6 +1,5 @@
-"""Locks on folders.
-
-Without a lock, two commands that change the same run, capture or work folder could delete each other's files.
+"""Locks on folders, which keep two commands that change the same run, capture or work folder from deleting each other's
+files.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ if sys.platform != "win32":
     import fcntl
 
 MAX_COMMAND = 80
-"""An error message quotes at most this number of characters of a command line."""
+"""Maximum number of characters of a command line that an error message quotes."""
 IN_USE = (errno.EWOULDBLOCK, errno.EACCES)
 
 
@@ -43,13 +42,12 @@ def locked_file(path: Path) -> Iterator[None]:
 def locked_folder(folder: Path) -> Iterator[None]:
     """Lock ``folder`` for this process while the ``with`` block runs. A missing folder is created.
 
-    The lock is an flock on the folder itself, so no lock file is needed. The system releases the lock when the process
-    ends, even if the process is killed. If this function has created the folder, and the folder is still empty after
-    the block, the folder is removed. On Windows, and on file systems without flock, nothing is locked.
+    The lock is an flock on the folder itself, so no lock file is needed. The system releases it when the process ends,
+    even if the process is killed. If this function has created the folder and it is still empty after the block, it is
+    removed. On Windows, and on file systems without flock, nothing is locked.
 
     Raises:
-        UserError: if another process holds the lock. The message names the process and the time at which the process
-            started.
+        UserError: if another process holds the lock. The message names the process and its start time.
     """
     if sys.platform == "win32":
         yield
@@ -92,8 +90,7 @@ def _lock(folder: Path) -> int:
 
 
 def _describe_holder(descriptor: int) -> str:
-    """Describe the process that holds the lock. On Linux, /proc/locks contains the ID of the process that holds the
-    lock."""
+    """Describe the process that holds the lock, whose ID is in /proc/locks on Linux."""
     try:
         inode = os.fstat(descriptor).st_ino
         lines = [line.split() for line in Path("/proc/locks").read_text(encoding="ascii").splitlines()]

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 
 @contextmanager
 def called_every(seconds: float, action: Callable[[], object]) -> Iterator[None]:
-    """Context manager: while its block runs, a thread calls ``action`` and waits ``seconds`` before each call. At the
-    end of the block, a running call is completed."""
+    """Call ``action`` in a thread while the ``with`` block runs, and wait ``seconds`` before each call. The end of the
+    block waits for a running call."""
     stopped = threading.Event()
 
     def repeat() -> None:

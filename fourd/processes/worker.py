@@ -1,4 +1,4 @@
-"""The child process of :class:`fourd.processes.isolation.ParserProcess`. The process answers requests until its input
+"""The child process of :class:`fourd.processes.isolation.ParserProcess`, which answers requests until its input
 ends."""
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ def _read_exactly(stream: BinaryIO | Any, count: int) -> bytes:
 
 
 def main() -> None:
-    """Answer requests. The arguments of the command line are the parent's process ID and the memory limit in bytes."""
+    """Answer requests. The command-line arguments are the parent's process ID and the memory limit in bytes."""
     parent, max_bytes = (int(word) for word in sys.argv[1:3])
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    # The standard output is redirected, because text that libraries print must not become part of a reply.
+    # The standard streams are redirected, because text that libraries print must not become part of a reply.
     null = os.open(os.devnull, os.O_RDWR)
     for descriptor in (0, 1, 2):
         os.dup2(null, descriptor)
@@ -90,14 +90,14 @@ def _limit_memory(max_bytes: int) -> None:
         return
     import resource
 
-    # RLIMIT_AS would count files that are mapped for reading, and addresses that libraries and their threads reserve
-    # but do not use. RLIMIT_DATA counts neither.
+    # On Linux, the limit is RLIMIT_DATA. RLIMIT_AS would also count files that are mapped for reading, and addresses
+    # that libraries and their threads reserve but do not use.
     limit = resource.RLIMIT_DATA if sys.platform == "linux" else resource.RLIMIT_AS
     resource.setrlimit(limit, (max_bytes, max_bytes))
 
 
 def _limit_time(seconds: float) -> None:
-    """Let the system end this process after it has used ``seconds`` more seconds of processor time."""
+    """Let the system end this process after another ``seconds`` seconds of CPU time."""
     if sys.platform == "win32":
         return
     import resource
@@ -108,8 +108,7 @@ def _limit_time(seconds: float) -> None:
 
 
 def _end_with_parent(parent: int) -> None:
-    """Let Linux end this process when its parent process ends. On systems other than Linux, this process ends when its
-    input ends."""
+    """Let Linux end this process when its parent process ends. On other systems, it ends when its input ends."""
     if sys.platform == "linux":
         import ctypes
 

@@ -1,6 +1,6 @@
 """The differentiable point renderer: :func:`render_points` and :func:`point_visibility`.
 
-Importing this package does not import torch. The first use of one of the two functions imports torch.
+Importing this package does not import torch; the first use of one of the two functions does.
 """
 
 from __future__ import annotations

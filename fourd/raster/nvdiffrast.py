@@ -1,7 +1,7 @@
 """The operations of :mod:`fourd.raster.triangles` under the names and arguments of ``nvdiffrast.torch``.
 
-With ``import fourd.raster.nvdiffrast as dr``, a script that was written for ``nvdiffrast.torch`` runs unchanged. Each
-operation runs on the device of its tensors, so the same script also runs without a GPU.
+A script that was written for ``nvdiffrast.torch`` runs unchanged with ``import fourd.raster.nvdiffrast as dr``. Each
+operation runs on the device of its tensors, so the script also runs without a GPU.
 """
 
 from __future__ import annotations
@@ -33,8 +33,7 @@ _LOG_LEVELS = (logging.INFO, logging.WARNING, logging.ERROR, logging.CRITICAL)
 
 
 class RasterizeCudaContext:
-    """Replaces nvdiffrast's class of the same name. An object of this class holds no resources, and ``device`` is
-    ignored."""
+    """Replaces nvdiffrast's class of the same name. It holds no resources and ignores ``device``."""
 
     output_db = True
 
@@ -43,11 +42,10 @@ class RasterizeCudaContext:
 
 
 class RasterizeGLContext:
-    """Replaces nvdiffrast's class of the same name. An object of this class holds no resources, and ``mode`` and
-    ``device`` have no effect.
+    """Replaces nvdiffrast's class of the same name. It holds no resources, and ``mode`` and ``device`` have no effect.
 
     Attributes:
-        output_db: whether :func:`rasterize` computes ``rast_db``. If false, ``rast_db`` has the shape (B, H, W, 0).
+        output_db: whether :func:`rasterize` computes ``rast_db``. If False, ``rast_db`` has the shape (B, H, W, 0).
     """
 
     def __init__(
@@ -144,15 +142,15 @@ def antialias_construct_topology_hash(tri: Tensor) -> triangles.Topology:
 
 
 def set_log_level(level: int) -> None:
-    """Set the level of the logger ``fourd.raster.nvdiffrast``. The level is 0 for information, 1 for warnings, 2 for
-    errors, or 3 for fatal errors. The operations log no messages."""
+    """Set the level of the logger ``fourd.raster.nvdiffrast``: 0 for information, 1 for warnings, 2 for errors, or 3
+    for fatal errors. The operations themselves log no messages."""
     if level not in range(len(_LOG_LEVELS)):
         raise ValueError(f"level: expected 0 to {len(_LOG_LEVELS) - 1}, got {level!r}")
     logging.getLogger(__name__).setLevel(_LOG_LEVELS[level])
 
 
 def get_log_level() -> int:
-    """Return the level that :func:`set_log_level` has set. The initial level is 1."""
+    """Return the level that :func:`set_log_level` has set, initially 1."""
     level = logging.getLogger(__name__).level
     return _LOG_LEVELS.index(level) if level in _LOG_LEVELS else 1
 

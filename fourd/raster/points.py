@@ -22,10 +22,10 @@ class PointRender:
     """A rendered image.
 
     Attributes:
-        features: (H, W, C) composited features, including the background if a background is given.
+        features: (H, W, C) composited features, including the background if one is given.
         alpha: (H, W) opacity in [0, 1].
-        depth: (H, W) weighted mean of the camera depths of the composited points in world units. The weight of a point
-            is the point's alpha times the transmittance in front of the point. The depth is 0 where ``alpha`` is 0.
+        depth: (H, W) weighted mean of the composited points' camera depths in world units, 0 where ``alpha`` is 0. A
+            point's weight is its alpha times the transmittance in front of it.
     """
 
     features: Tensor
@@ -49,29 +49,29 @@ def render_points(
 ) -> PointRender:
     """Composite the nearest ``layers`` points of every pixel front to back (differentiable peeling, 4K4D sec. 3.3).
 
-    With intrinsics K, point i has depth z_i and projected centre q_i. The radius of point i in pixels is rho_i = K[1,
-    1] * radius_i / z_i. The alpha of point i at pixel p is alpha_i(p) = density_i * max(1 - |q_i - p|^2 / rho_i^2, 0).
-    The points with alpha_i(p) > 0 are sorted by depth. Points with equal depth are sorted by index. The first
-    ``layers`` points are composited.
+    Let K be the intrinsic matrix, z_i the camera depth of point i, and q_i its projected centre. Its radius in pixels
+    is rho_i = K[1, 1] * radius_i / z_i, and its alpha at pixel p is alpha_i(p) = density_i * max(1 - |q_i - p|^2 /
+    rho_i^2, 0). The points with alpha_i(p) > 0 are composited in ascending order of depth, and of their indices at
+    equal depth.
 
-    The results are differentiable in xyz, features, radius, density and background. In the backward pass, the selection
-    of points is treated as constant. On the CPU, results and gradients are bit-identical for any number of threads.
+    The results are differentiable in all tensors. The backward pass treats the selection of points as constant. On the
+    CPU, results and gradients are bit-identical for any number of threads.
 
     Args:
         xyz: (N, 3) positions, world units.
-        features: (N, C) colours or other features, with C from 1 to 32. The values are not checked. NaN and infinity
-            propagate to all pixels that composite the point.
+        features: (N, C) colours or other features, with C from 1 to 32. The values are not checked, and NaN and
+            infinity propagate to all pixels in which the point is composited.
         radius: (N,) radii in world units.
         density: (N,) opacity at the centre, in [0, 1]. Values above 1 are clamped to 1.
         camera: a pinhole camera without lens distortion.
         layers: maximum number of points that are composited per pixel.
-        near: points with a camera depth below ``near`` world units are culled. Points are also culled if radius or
-            density is not positive, or if a value or the projection is not finite. Culled points have zero gradients.
-        background: (C,) or (H, W, C) features, weighted by 1 - alpha and added behind the points. None means 0.
+        near: points with a camera depth below ``near`` world units are culled, as are points with a nonpositive radius
+            or density, or with a non-finite value or projection. Culled points have zero gradients.
+        background: (C,) or (H, W, C) features behind the points, which are weighted by 1 - alpha. None means 0.
         backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
-            float32 kernels, or "auto" for the kernel of the tensors' device.
-        transmittance_min: compositing of a pixel stops when the transmittance falls below this value. Gradients are
-            exact only with the value 0, but rendering is faster with 1e-4. The "reference" backend uses 0.
+            float32 kernels, or "auto" for the kernels for the tensors' device.
+        transmittance_min: compositing of a pixel stops when its transmittance falls below this value. Must be 0 if
+            gradients are required; 1e-4 makes rendering faster. The "reference" backend uses 0.
         threads: number of CPU threads. 0 means the environment variable FOURD_THREADS, or torch.get_num_threads().
 
     Raises:
@@ -107,12 +107,12 @@ def point_visibility(
     backend: Backend = "auto",
     threads: int = 0,
 ) -> Tensor:
-    """Compute the largest compositing weight (transmittance times alpha) of every point over all pixels of ``camera``.
+    """Compute every point's maximum compositing weight (transmittance times alpha) over all pixels of ``camera``.
 
     For the arguments, the culling and the errors, see :func:`render_points`.
 
     Returns:
-        (N,) weights in [0, 1] with the dtype of xyz, not differentiable. Points that are not visible have weight 0.
+        (N,) weights in [0, 1] with the dtype of ``xyz``, 0 for invisible points. They are not differentiable.
     """
     chosen = _check({"xyz": xyz, "radius": radius, "density": density}, camera, layers, near, backend)
     if chosen == "reference":

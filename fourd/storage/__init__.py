@@ -1,4 +1,4 @@
-"""Storage by URL: captures are copied from object stores, and scenes are read from and written to object stores."""
+"""Storage by URL: copies captures from object stores, and reads and writes scenes in them."""
 
 from fourd.storage.downloading import download, fetch, find_objects, is_file_name, list_objects
 from fourd.storage.local import local_copy, local_output

@@ -1,7 +1,7 @@
 """Connections to object stores through fsspec, and conversion of the stores' errors to messages for the user.
 
-The packages for object stores are optional, so they are imported when the first connection is made. Credentials and
-endpoints are read from each store's standard settings, such as AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL and ~/.aws/ for
+The packages for object stores are optional, so they are imported only when the first connection is made. Credentials
+and endpoints come from each store's standard settings, such as AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL and ~/.aws/ for
 s3://.
 """
 
@@ -20,14 +20,14 @@ from fourd.storage.url import StorageUrl
 CONNECTIONS = 8
 """Number of objects that are read or written at the same time."""
 LIBRARIES = ("aiobotocore", "aiohttp", "asyncio", "botocore", "builtins", "fsspec", "gcsfs", "google", "s3fs")
-"""Packages whose exceptions count as errors of the store in a :func:`storage_errors` block. Exceptions of other
-packages are bugs."""
+"""Packages whose exceptions :func:`storage_errors` reports as errors of the store. Exceptions of other packages are
+bugs."""
 INSTALL = {
     "s3": ("s3fs", "pip install 'fourd[storage]'"),
     "gs": ("gcsfs", "pip install 'fourd[storage]' gcsfs"),
     "memory": ("fsspec", "pip install 'fourd[storage]'"),
 }
-"""For each scheme: the package that implements the scheme, and the command that installs the package."""
+"""The package that implements each scheme, and the command that installs it."""
 CREDENTIALS = {
     "s3": "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or run aws configure",
     "gs": "run gcloud auth application-default login",
@@ -41,8 +41,8 @@ REACH = {
 def connect(url: StorageUrl) -> Any:
     """Open the fsspec file system of a URL. Nothing is sent to the store.
 
-    fsspec caches the file system for later calls in the same thread, because creating a file system takes longer than a
-    request. Listings are not cached, so that changes by other programs become visible.
+    fsspec caches the file system for later calls in the same thread, because creating it takes longer than a request.
+    Listings are not cached, so that changes by other programs become visible.
 
     Raises:
         UserError: if the package for the scheme is not installed.
@@ -62,8 +62,8 @@ def connect(url: StorageUrl) -> Any:
 
 @contextmanager
 def storage_errors(url: StorageUrl) -> Iterator[None]:
-    """Raise a UserError that names ``url`` if a request to the store fails in the ``with`` block. The block must
-    contain only requests to the store."""
+    """Raise a UserError that names ``url`` if a request to the store fails in the ``with`` block, which must contain
+    only such requests."""
     try:
         yield
     except (UserError, ImportError, MemoryError):
@@ -75,7 +75,7 @@ def storage_errors(url: StorageUrl) -> Iterator[None]:
 
 
 def changed(url: StorageUrl) -> UserError:
-    """Return the error for an object that was replaced or removed while fourd was reading the object."""
+    """Return the error for an object that was replaced or removed while fourd was reading it."""
     return UserError(
         f"{url}: expected an object that stays the same while it is read, got one that was replaced or removed; run "
         "the command again when the object is complete"
@@ -83,7 +83,7 @@ def changed(url: StorageUrl) -> UserError:
 
 
 def _is_answer(error: Exception) -> bool:
-    """Whether an error comes from the store. Errors such as TypeError come from bugs in the code instead."""
+    """Return True if an error comes from the store, and False if it is a bug in the code, such as a TypeError."""
     return isinstance(error, OSError) or type(error).__module__ != "builtins"
 
 
@@ -108,10 +108,10 @@ def _describe(url: StorageUrl, error: Exception) -> str:
 
 
 def run_together(calls: Sequence[Callable[[Event], object]]) -> Iterator[int]:
-    """Run calls with several connections, and yield the index of each call when it is finished.
+    """Run calls at the same time, and yield the index of each call when it is finished.
 
-    Each call gets an event. After an error, or if the caller stops, this event is set, and calls that have not started
-    are dropped. If a call raises an error, this function raises the error.
+    The calls share an event, which is set after an error or if the caller stops; calls that have not started are then
+    dropped. An error of a call is raised again.
     """
     stop = Event()
     with ThreadPoolExecutor(CONNECTIONS) as pool:

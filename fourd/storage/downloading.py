@@ -1,5 +1,5 @@
-"""Copying of objects to the local disk in pieces. The size of a copy is limited, and each file has the content of one
-version of its object.
+"""Copies objects to the local disk in pieces. A copy must fit on the disk, and each file has the content of one version
+of its object.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ MAX_OBJECTS = 1_000_000
 MIN_FREE_BYTES = 1 << 30
 """Number of bytes that a copy leaves free on the disk."""
 RECORD = ".fetched.jsonl"
-"""Name of the record file in the folder that contains a copy. The file has one line for each copied object: the
-object's key, size and version."""
+"""Name of the record file in the folder that contains a copy. It has one line for each copied object, with its key,
+size and version."""
 MAX_RECORD_LINE = 1 << 16
 
 
@@ -41,8 +41,8 @@ class StoredObject:
     """An object in a store.
 
     Attributes:
-        key: name relative to the listed folder, with slashes. If the URL names a single object, the key is the last
-            part of the URL.
+        key: name relative to the listed folder, with slashes, or the last part of the URL if the URL names a single
+            object.
         size: size in bytes.
         version: the store's identifiers of the content, such as ETag and time of the last change.
         seconds: time of the last change in seconds since 1970, or None if the store does not report it.
@@ -56,9 +56,7 @@ class StoredObject:
 
 @dataclass(frozen=True)
 class Listing:
-    """The objects at a URL, sorted by key. ``is_single`` is true if the URL names one object, and false if it names a
-    folder.
-    """
+    """The objects at a URL, sorted by key. ``is_single`` is true if the URL names one object instead of a folder."""
 
     objects: tuple[StoredObject, ...]
     is_single: bool
@@ -92,7 +90,7 @@ def find_objects(url: StorageUrl) -> list[StoredObject]:
 
 
 def _find(url: StorageUrl) -> dict[str, StoredObject]:
-    """List all objects at ``url`` by key. The key of the object ``url`` itself is an empty string."""
+    """List all objects at ``url`` by key, which is an empty string for the object ``url`` itself."""
     store = connect(url)
     with storage_errors(url):
         found: dict[str, dict[str, Any]] = store.find(str(url), detail=True)
@@ -114,7 +112,7 @@ def _find(url: StorageUrl) -> dict[str, StoredObject]:
 
 
 def download(url: StorageUrl, files: Mapping[str, Path]) -> Iterator[StoredObject]:
-    """Copy objects in the folder ``url``. Each object is yielded when its copy is complete.
+    """Copy objects in the folder ``url``, and yield each object when its copy is complete.
 
     Args:
         url: the folder.
@@ -135,20 +133,20 @@ def download(url: StorageUrl, files: Mapping[str, Path]) -> Iterator[StoredObjec
 
 
 def _existing(path: Path) -> Path:
-    """The nearest folder above ``path`` that exists."""
+    """Return the nearest folder above ``path`` that exists."""
     return next(folder for folder in path.absolute().parents if folder.is_dir())
 
 
 def fetch(url: StorageUrl, parent: Path, track: Track = untracked) -> Path:
     """Copy an object or a folder into the folder ``parent``, under its own name. Returns the path of the copy.
 
-    A second call copies only new and changed objects, and removes copies of objects that no longer exist. Files in the
-    copy that were not copied from the store are kept. Memory use does not depend on the size of objects: each
-    connection holds one piece in memory.
+    A second call copies only new and changed objects, and removes copies of objects that no longer exist. Other files
+    in the copy are kept. Memory use does not depend on the size of objects, because each connection holds only one
+    piece in memory.
 
     Args:
         url: an object, or a folder of objects.
-        parent: local folder that is missing, empty, or has an earlier copy. A copy of another URL is removed.
+        parent: local folder that is missing, is empty, or has an earlier copy. A copy of another URL is removed.
         track: reports progress.
 
     Raises:
@@ -174,7 +172,7 @@ def fetch(url: StorageUrl, parent: Path, track: Track = untracked) -> Path:
 def _download_all(
     url: StorageUrl, due: list[StoredObject], urls: dict[str, StorageUrl], paths: Mapping[str, Path]
 ) -> Iterator[StoredObject]:
-    """Download objects with several connections. Yields each object when its copy is complete."""
+    """Download objects with several connections, and yield each object when its copy is complete."""
     store = connect(url)
     for index in run_together([partial(_download, store, urls[item.key], item, paths[item.key]) for item in due]):
         yield due[index]
@@ -203,15 +201,15 @@ def _download(store: Any, url: StorageUrl, item: StoredObject, path: Path, stop:
 
 
 def _is_current(item: StoredObject, path: Path, known: tuple[int, str] | None) -> bool:
-    """Whether a copy is complete and has the object's current version. The size of a file in .fourd/ is not checked,
-    because fourd may have changed the file."""
+    """Return True if a copy is complete and has the object's current version. The sizes of files in folders such as
+    .fourd/ are not checked, because fourd may have changed them."""
     if known != (item.size, item.version) or not path.is_file():
         return False
     return path.stat().st_size == item.size or item.key.startswith(".")
 
 
 def is_file_name(key: str) -> bool:
-    """Whether a key is a valid name of a file inside a folder on all operating systems."""
+    """Return True if a key is a valid name of a file inside a folder on all operating systems."""
     parts = key.split("/")
     return key.isprintable() and not set(key) & set("\\:") and not set(parts) & {"", ".", ".."}
 
@@ -226,7 +224,7 @@ def _require_space(url: StorageUrl, folder: Path, size: int) -> None:
 
 
 def _open_record(url: StorageUrl, parent: Path) -> dict[str, tuple[int, str]]:
-    """Read size and version of each copied object in ``parent``. Creates the record if ``parent`` has no copy of
+    """Read the size and version of each copied object in ``parent``. Creates the record if ``parent`` has no copy of
     ``url``."""
     record = parent / RECORD
     first_line = f"{json.dumps([str(url)])}\n"

@@ -1,4 +1,4 @@
-"""Local files in place of objects at URLs, for code that can only read or write files."""
+"""Provides local files in place of objects at URLs, for code that can only read or write files."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from fourd.storage.url import Location, StorageUrl
 def local_copy(location: Location, track: Track = untracked) -> Iterator[Path]:
     """Yield the path of a local file or folder with the content of ``location``. Local paths are yielded unchanged.
 
-    The copy of a URL is in a temporary folder, which is removed when the block ends. If the block raises a UserError,
-    its message names the URL instead of the copy.
+    A URL is copied to a temporary folder, which is removed when the block ends. If the block raises a UserError, its
+    message names the URL instead of the copy.
 
     Raises:
         UserError: see :func:`fourd.storage.downloading.fetch`.
@@ -35,9 +35,9 @@ def local_copy(location: Location, track: Track = untracked) -> Iterator[Path]:
 def local_output(location: Location, track: Track = untracked) -> Iterator[Path]:
     """Yield the path of a local file. If ``location`` is a URL, the file is uploaded when the block ends.
 
-    Before the block starts, an upload is started and aborted, to test whether the store accepts uploads. If the block
-    raises an exception, nothing is uploaded. Local paths are yielded unchanged. If the block raises a UserError, its
-    message names the URL instead of the local file.
+    Local paths are yielded unchanged. For a URL, an upload is started and aborted before the block starts, to test
+    whether the store accepts uploads. If the block raises an exception, nothing is uploaded, and the message of a
+    UserError names the URL instead of the local file.
 
     Raises:
         UserError: see :func:`fourd.storage.uploading.upload`.

@@ -1,4 +1,4 @@
-"""Reading of small objects as a whole, and removal of objects."""
+"""Reads whole small objects, and removes objects."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Objects in a store as readable files. A read downloads only a range of bytes, so a part of an object can be read
-without a copy of the whole object."""
+"""Opens objects in a store as readable files. A read downloads only a range of bytes, without a copy of the whole
+object."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from fourd.storage.url import StorageUrl, require_object
 from fourd.storage.versions import object_version
 
 READ_AHEAD_BYTES = 256 << 10
-"""A read of fewer bytes requests this number of bytes, and keeps the rest for the next reads. A read of more bytes is a
-single request."""
+"""Minimum number of bytes that a request reads. Bytes beyond a shorter read are kept for the next reads. A longer read
+is a single request."""
 
 
 def open_object(url: StorageUrl) -> BinaryIO:
@@ -34,8 +34,8 @@ def open_object(url: StorageUrl) -> BinaryIO:
 
 
 class _Ranges(io.RawIOBase):
-    """The bytes of one version of an object. Several threads may share one instance, but the caller must ensure that
-    only one thread uses the instance at a time."""
+    """The bytes of one version of an object. Several threads may share one instance if the caller ensures that only one
+    uses it at a time."""
 
     def __init__(self, url: StorageUrl, store: Any, stream: Any, version: str) -> None:
         self._url = url
@@ -59,8 +59,8 @@ class _Ranges(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:
         with self._lock, storage_errors(self._url):
             content = self._stream.read(len(buffer))
-            # S3 itself rejects a read if the object has changed since it was opened. For stores other than S3, this
-            # code compares the versions.
+            # S3 itself rejects a read if the object has changed since it was opened. For other stores, the versions are
+            # compared.
             if self._url.scheme != "s3" and object_version(self._store.info(str(self._url))) != self._version:
                 raise changed(self._url)
         buffer[: len(content)] = content

@@ -1,7 +1,7 @@
-"""Uploads to object stores. An object is replaced atomically when all its parts have been sent.
+"""Uploads files to object stores, and replaces an object atomically when all its parts have been sent.
 
-Stores cannot rename objects. A file is therefore sent as the parts of a multipart upload. The parts are invisible until
-the upload is completed. If the process is killed or the connection is lost, the old object stays.
+Stores cannot rename objects, so a file is sent as the parts of a multipart upload, which are invisible until the upload
+is completed. If the process is killed or the connection is lost, the old object stays.
 """
 
 from __future__ import annotations
@@ -27,14 +27,13 @@ MEGABYTE = 1 << 20
 PART_BYTES = 16 * MEGABYTE
 """Size of the parts of an upload. One part is in memory at a time."""
 MAX_PARTS = 9000
-"""S3 accepts at most 10,000 parts. If a file is larger than MAX_PARTS parts of PART_BYTES bytes each, larger parts are
-sent.
+"""Maximum number of parts of an upload. S3 accepts at most 10,000. Files that need more parts of PART_BYTES bytes are
+sent in larger parts.
 """
 
 
 def upload(path: Path, url: StorageUrl, track: Track = untracked) -> None:
-    """Write a local file to the object ``url``. Readers of the object get either its old content or its complete new
-    content.
+    """Write a local file to the object ``url``. Readers get either its old content or its complete new content.
 
     Raises:
         UserError: if the store returns an error. After an error, the old object stays, and the parts are removed.
@@ -67,7 +66,7 @@ def upload_all(files: Mapping[str, Path], url: StorageUrl, track: Track = untrac
 def _upload(store: Any, path: Path, url: StorageUrl, track: Track) -> None:
     with open_regular(path) as source:
         size = path.stat().st_size
-        # Google Cloud Storage needs parts whose size is a multiple of 256 kB.
+        # The part size is a whole number of MiB, because Google Cloud Storage needs a multiple of 256 KiB.
         part = max(PART_BYTES, math.ceil(size / MAX_PARTS / MEGABYTE) * MEGABYTE)
         stream = _open(store, url, part)
         try:
@@ -93,8 +92,7 @@ def upload_changed(path: Path, url: StorageUrl, record: Path, track: Track = unt
     Args:
         path: the local file.
         url: the object.
-        record: JSON file that stores two states after the last upload: the state of the local file, and the state of
-            the object.
+        record: JSON file with the states of the local file and of the object after the last upload.
         track: reports progress.
 
     Raises:
@@ -107,8 +105,8 @@ def upload_changed(path: Path, url: StorageUrl, record: Path, track: Track = unt
 
 
 def _state(path: Path, url: StorageUrl) -> list[Any]:
-    """Size and modification time of the file, and the version of the object. The version is None if the object does not
-    exist."""
+    """Return the URL, the size and modification time of the file, and the version of the object, which is None if the
+    object does not exist."""
     status, store = path.stat(), connect(url)
     with storage_errors(url):
         info = store.info(str(url)) if store.exists(str(url)) else None
@@ -140,17 +138,17 @@ def check_writable(url: StorageUrl) -> None:
 
 
 def _open(store: Any, url: StorageUrl, part: int) -> Any:
-    """Open an object for writing. The object changes only when the stream's method ``commit`` is called."""
+    """Open an object for writing. It changes only when the stream's method ``commit`` is called."""
     require_object(url)
     with storage_errors(url):
         return store.open(str(url), "wb", block_size=part, autocommit=False)
 
 
 def _discard(stream: Any) -> None:
-    """Remove the parts of an upload that is not completed. If the store does not reply, the parts stay until a
-    lifecycle rule of the store removes them.
+    """Remove the parts of an upload that was not completed. If the store does not reply, they stay until one of its
+    lifecycle rules removes them.
     """
     with suppress(Exception):
         stream.discard()
-    # The stream is marked as closed, because otherwise its destructor would close the stream and send the last part.
+    # The stream is marked as closed, because its destructor would otherwise close it and send the last part.
     stream.closed = True

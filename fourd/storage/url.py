@@ -11,8 +11,8 @@ from fourd.errors import UserError
 URL = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+)://(?P<rest>.*)", re.DOTALL)
 """A scheme has at least two characters, so that Windows paths such as C:/videos are not URLs."""
 SCHEMES = ("s3", "gs", "memory")
-"""Schemes whose stores replace an object atomically when an upload is completed. memory:// is a store inside this
-process, for tests and programs."""
+"""Supported schemes, whose stores replace an object atomically when an upload is completed. memory:// is a store inside
+this process, for tests and programs."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class StorageUrl:
         return self.path.suffix
 
     def join(self, key: str) -> StorageUrl:
-        """Treat this URL as a folder, and return the URL of the object whose key relative to the folder is ``key``."""
+        """Return the URL of the object ``key`` in the folder that this URL names."""
         return StorageUrl(f"{self.text.rstrip('/')}/{key}")
 
 
@@ -76,7 +76,7 @@ Location = Path | StorageUrl
 
 
 def is_url(text: str) -> bool:
-    """Whether a text is a URL, with any scheme."""
+    """Return True if a text is a URL, with any scheme."""
     return URL.fullmatch(text) is not None
 
 

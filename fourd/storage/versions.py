@@ -1,4 +1,4 @@
-"""The version of an object, computed from the description of the object that fsspec returns."""
+"""Computes the version of an object from the description that fsspec returns."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from typing import Any
 
 
 def object_version(info: dict[str, Any]) -> str:
-    """The identifiers of an object's content: size, ETag or another hash, and time of the last change."""
+    """Return the identifiers of an object's content: size, ETag or another hash, and time of the last change."""
     tag = next((str(info[name]) for name in ("ETag", "etag", "md5Hash", "generation") if info.get(name)), "")
     seconds = changed_seconds(info)
-    # A listing of a folder and a request for a single object can report times that differ by fractions of a second. The
-    # fractions are kept only if the store reports no hash.
+    # Fractions of a second are kept only if the store reports no hash, because a listing and a request for a single
+    # object can report different fractions.
     time = "" if seconds is None else str(int(seconds) if tag else seconds)
     return f"{info['size']} {tag} {time}".strip()
 
 
 def changed_seconds(info: dict[str, Any]) -> float | None:
-    """Time of the last change in seconds since 1970, or None if the store does not report it."""
+    """Return the time of the last change in seconds since 1970, or None if the store does not report it."""
     for name in ("LastModified", "mtime", "updated", "created"):
         value = info.get(name)
         if isinstance(value, datetime):

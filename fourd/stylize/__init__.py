@@ -1,4 +1,4 @@
-"""Cartoons and drawings of a scene: styles, their presets, and the normals of points. This package needs no torch."""
+"""Draws scenes as cartoons or drawings: styles, presets and point normals. This package does not need torch."""
 
 from fourd.stylize.normals import decode_octahedral, encode_octahedral, estimate_normals
 from fourd.stylize.presets import PRESETS, load_style

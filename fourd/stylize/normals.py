@@ -1,10 +1,10 @@
-"""Normals of the points of a scene, and their storage in two bytes.
+"""Estimates the normals of a scene's points, and encodes them in two bytes.
 
-A normal is the direction in which the neighbours of a point spread least (principal component analysis, Hoppe et al.
-1992). A normal points to the side from which the capture's cameras see the point. On thin parts, such as the legs of an
-animal, the neighbours lie on all sides and do not determine the normal. Each normal is therefore rotated until it faces
-all cameras that see the point. Normals are then averaged over the neighbours, because the noise of the positions would
-show as speckle in a drawing.
+A point's normal is the direction in which its neighbours spread least (principal component analysis, Hoppe et al.
+1992), on the side from which the capture's cameras see the point. On thin parts, such as the legs of an animal, the
+neighbours lie on all sides and do not determine the normal, so each normal is rotated until it faces all cameras that
+see the point. Normals are then averaged over the neighbours, because the noise of the positions would show as speckle
+in a drawing.
 """
 
 from __future__ import annotations
@@ -17,26 +17,25 @@ from numpy.typing import NDArray
 from fourd.ops.neighbours import nearest_neighbours
 
 NEIGHBOURS = 24
-"""Number of nearest points whose positions determine the normal of a point."""
+"""Number of nearest points, including the point itself, whose positions determine its normal."""
 SMOOTHING_ROUNDS = 3
-"""Number of smoothing rounds. Each round replaces every normal by the mean of the normals around it."""
+"""Number of smoothing rounds, each of which replaces every normal by the mean of the normals around it."""
 VOTING_ROUNDS = 4
-"""Number of rounds of voting. In each round, a normal is reversed if the sum of its dot products with the normals of
-its nearest points is negative."""
+"""Number of voting rounds, each of which reverses a normal if the sum of its dot products with the normals of its
+nearest points is negative."""
 VOTERS = 8
-"""Number of nearest points whose normals vote on the sign of a normal. A larger number would include points on the
-other side of thin parts."""
+"""Number of nearest points, including the point itself, whose normals vote on a normal's sign. A larger number would
+include points on the other side of thin parts."""
 LEAST_COSINE = 0.1
 """Minimum cosine between a normal and the direction to a camera that sees the point."""
 TURNING_ROUNDS = 2
-"""Number of rounds in which each normal is rotated towards each camera that sees the point."""
+"""Number of rounds in which each normal is rotated towards the cameras that see the point."""
 _SEES = 0.3
-"""A camera counts as seeing a point if the camera's weight at the point is above this fraction of the largest weight of
-all cameras at the point. Smaller weights often belong to cameras that see the point through a gap between other
-points."""
+"""A camera counts as seeing a point if its weight there is above this fraction of the largest weight of all cameras.
+Smaller weights often belong to cameras that see the point through a gap between other points."""
 _COARSE = 12
-"""Number of cells of a coarse grid along the longest side of the scene. The grid is used to find the outer side of
-surfaces that no camera sees."""
+"""Number of cells along the longest side of a coarse grid, which is used to find the outer side of surfaces that no
+camera sees."""
 
 Points = NDArray[np.floating]
 Normals = NDArray[np.float32]
@@ -44,24 +43,25 @@ Normals = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Visibility:
-    """Visibility of points: which cameras see which points.
+    """The cameras that see each point.
 
     Attributes:
-        weights: (N, V) weight of each camera at each point, at least 0, for example the point's blend weight in the
-            camera's view. A weight is 0 if the camera does not see the point.
-        centres: (V, 3) centres of the cameras.
+        weights: (N, V) nonnegative weight of each camera at each point, for example the point's blend weight in the
+            camera's view; 0 if the camera does not see the point.
+        centres: (V, 3) camera centres.
     """
 
     weights: Points
     centres: Points
 
     def rays(self, xyz: NDArray[np.float32], view: int) -> NDArray[np.float32]:
-        """(N, 3) unit directions from points to the camera with the index ``view``."""
+        """Return the unit directions (N, 3) from points to the camera with index ``view``."""
         rays = np.asarray(self.centres[view], np.float32) - xyz
         return rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), np.float32(1e-12))
 
     def mean_directions(self, xyz: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(N, 3) weighted sums of the unit directions to the cameras. The sum is 0 for points that no camera sees."""
+        """Return the weighted sums (N, 3) of the unit directions to the cameras, which are 0 for points that no camera
+        sees."""
         total = np.zeros((len(xyz), 3), np.float32)
         for view in range(len(self.centres)):
             total += self.weights[:, view, None].astype(np.float32) * self.rays(xyz, view)
@@ -73,11 +73,11 @@ def estimate_normals(xyz: Points, seen: Visibility | None = None) -> Normals:
 
     Args:
         xyz: (N, 3) positions.
-        seen: which cameras see the points, or None if it is not known. If no camera sees a point, its normal is
-            directed away from the mean position of the points around it.
+        seen: the cameras that see each point, or None if unknown. The normal of a point that no camera sees points away
+            from the mean position of the points around it.
 
     Returns:
-        (N, 3) float32. If there are fewer than 3 points, their normals are (0, 0, 1).
+        (N, 3) float32 normals, which are (0, 0, 1) if there are fewer than 3 points.
     """
     count = len(xyz)
     if count < 3:
@@ -95,7 +95,7 @@ def estimate_normals(xyz: Points, seen: Visibility | None = None) -> Normals:
         votes = np.einsum("nki,ni->n", normals[near[:, :VOTERS]], normals)
         normals[votes < 0] *= -1
     for _ in range(SMOOTHING_ROUNDS):
-        # A neighbour on the other side of a thin part has the opposite normal, and is ignored.
+        # Neighbours with opposite normals are on the other side of a thin part, and are ignored.
         around = normals[near]
         agrees = np.einsum("nki,ni->nk", around, normals) > 0
         normals = _unit(np.einsum("nki,nk->ni", around, agrees.astype(np.float32)), normals)
@@ -104,7 +104,7 @@ def estimate_normals(xyz: Points, seen: Visibility | None = None) -> Normals:
 
 def encode_octahedral(normals: NDArray[np.floating]) -> NDArray[np.uint8]:
     """Encode unit normals (N, 3) as (N, 2) uint8 (Cigolle et al. 2014). Each normal is projected to a point (x, y) of
-    an unfolded octahedron. The stored bytes are 127 * x + 128 and 127 * y + 128. The angle between a normal and the
+    an unfolded octahedron, and the stored bytes are 127 * x + 128 and 127 * y + 128. The angle between a normal and the
     decoded normal is at most 1 degree."""
     length = np.abs(normals).sum(1, keepdims=True)
     plane = normals[:, :2] / np.maximum(length, 1e-12)
@@ -144,8 +144,8 @@ def _turn_to_cameras(normals: Normals, positions: NDArray[np.float32], seen: Vis
 
 
 def _away_from_centres(positions: NDArray[np.float32]) -> NDArray[np.float32]:
-    """For each point, the vector (N, 3) from a mean position to the point. The mean is over all points in the 3 x 3 x 3
-    coarse cells around the point."""
+    """Return the vector (N, 3) to each point from the mean position of all points in the 3 x 3 x 3 coarse cells around
+    it."""
     lower = positions.min(0)
     side = max(float((positions.max(0) - lower).max()) / _COARSE, 1e-12)
     cells = np.minimum(((positions - lower) / side).astype(int), _COARSE - 1) + 1

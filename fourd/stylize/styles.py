@@ -1,4 +1,4 @@
-"""The settings of a style. Each class is one section of a style file (YAML)."""
+"""The settings of a style: one class for each section of a style file (YAML)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ShadingKind = Literal["none", "toon", "xtoon", "gooch"]
 LightFrame = Literal["camera", "world"]
 Stop = tuple[float, float, float, float]
 MAX_LIGHT = 1e6
-"""Largest coordinate of a light direction."""
+"""Upper bound on the length of a light direction."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,8 @@ class Light:
 
     Attributes:
         direction: the direction towards the light, of any length.
-        frame: the axes of ``direction``. In the frame "camera", x points right, y down and z away from the camera, so
-            that the light moves with the camera. The frame "world" has the axes of the scene.
+        frame: coordinate frame of ``direction``. In "camera", x points right, y down and z away from the camera, so the
+            light moves with the camera. "world" has the axes of the scene.
     """
 
     direction: Triple = (-0.5, -0.7, -0.5)
@@ -40,13 +40,12 @@ class Ramp:
     """The colours of toon and X-Toon shading.
 
     Attributes:
-        stops: lists of four numbers in [0, 1]: the tone at which a colour begins, and the red, green and blue of the
-            colour. The first stop has the tone 0.
+        stops: lists of four numbers in [0, 1]: the tone at which a colour begins, and its red, green and blue. The
+            first stop has the tone 0.
         softness: range of tones, from 0 to 1, over which one colour changes to the next.
-        map: path of a PNG that replaces ``stops``. Each column of the PNG belongs to a tone, and each row to a value of
-            the detail (see :class:`DetailAxis`), starting with 0 in the first row. Toon shading has 1 row, X-Toon
-            shading has 1 to 64 rows.
-        gain: factor by which the colours are multiplied.
+        map: path of a PNG that replaces ``stops``. Its columns are tones, and its rows are values of the detail (see
+            :class:`DetailAxis`), starting with 0 in the first row. Toon shading has 1 row, and X-Toon shading 1 to 64.
+        gain: factor for the colours.
     """
 
     stops: tuple[Stop, ...] = ((0.0, 0.42, 0.42, 0.52), (0.45, 0.72, 0.7, 0.74), (0.72, 1.0, 1.0, 1.0))
@@ -66,18 +65,18 @@ class Ramp:
 
 @dataclass(frozen=True)
 class DetailAxis:
-    """The second axis of X-Toon shading: a colour depends on the tone and on the detail, which this class defines.
+    """The second axis of X-Toon shading, whose colours depend on the tone and on the detail, which this class defines.
 
     Attributes:
-        by: the quantity that determines the detail. With "depth", the detail is 0 at ``near`` and 1 at ``far``. With
-            "focus", the detail is 0 at the depth ``focus`` and 1 at the distance ``far - near`` from ``focus``. With
-            "facing", the detail is N.V to the power ``power``: 0 at silhouettes. N.V is the cosine of the angle between
-            the normal and the direction to the camera.
-        near, far, focus: depths, in multiples of the distance from the camera to the centre of the scene.
+        by: the quantity that determines the detail. For "depth", the detail is 0 at ``near`` and 1 at ``far``. For
+            "focus", it is 0 at the depth ``focus`` and 1 at the distance ``far - near`` from it. For "facing", it is
+            N.V to the power ``power``, where N.V is the cosine between the normal and the direction to the camera, so
+            it is 0 at silhouettes.
+        near, far, focus: depths, as multiples of the distance from the camera to the centre of the scene.
         power: exponent of N.V.
-        fade: share of ``fade_colour`` in the colours where the detail is 1, or at silhouettes if ``by`` is "facing". If
-            the ramp has a ``map``, ``fade`` has no effect.
-        fade_colour: colour that ``fade`` mixes into the colours.
+        fade: fraction of ``fade_colour`` that is mixed into the colours where the detail is 1, or at silhouettes if
+            ``by`` is "facing". It has no effect if the ramp has a ``map``.
+        fade_colour: the colour that is mixed in.
     """
 
     by: Detail = "facing"
@@ -100,8 +99,8 @@ class DetailAxis:
 
 @dataclass(frozen=True)
 class Gooch:
-    """The two colours of Gooch shading: surfaces that face away from the light have the cool colour, and surfaces that
-    face the light have the warm colour."""
+    """The two colours of Gooch shading: cool for surfaces that face away from the light, and warm for surfaces that
+    face it."""
 
     cool: Triple = (0.1, 0.16, 0.5)
     warm: Triple = (0.62, 0.5, 0.2)
@@ -116,10 +115,10 @@ class Angle:
     """Darkening of surfaces at grazing angles.
 
     Attributes:
-        threshold: surfaces darken where N.V, the cosine between the normal and the direction to the camera, is below
+        threshold: surfaces darken where the cosine between the normal and the direction to the camera, N.V, is below
             this number. 0 disables the darkening.
-        softness: half of the width of the transition, in units of N.V.
-        strength: largest share of ``colour`` in the darkened surface colour.
+        softness: half the width of the transition, in units of N.V.
+        strength: maximum fraction of ``colour`` in the darkened surface colour.
         colour: red, green and blue.
     """
 
@@ -137,15 +136,15 @@ class Angle:
 
 @dataclass(frozen=True)
 class LineSettings:
-    """The lines of a drawing: the outlines of surfaces, and the lines inside the outlines.
+    """The lines of a drawing: outlines of surfaces, and lines inside them.
 
     Attributes:
         filter: none, sobel (nine taps) or cross (five taps).
-        depth: relative jump of depth at which a line begins, above 0.
-        normal: change, over the filter's taps, of the cosine between the normal at the tap and the normal at the pixel.
-            A line begins where the change exceeds this number. Above 0.
-        thickness: distance between the taps in pixels of a picture with 1080 rows, 0.25 to 8. The width of lines is
-            about twice ``thickness``.
+        depth: relative jump of the depth above which a line is drawn. Positive.
+        normal: change, over the filter's taps, of the cosine between the normals at the tap and at the pixel, above
+            which a line is drawn. Positive.
+        thickness: distance between the taps in pixels of an image with 1080 rows, 0.25 to 8. Lines are about twice as
+            wide.
         opacity: opacity of the strongest lines, 0 to 1.
         colour: red, green and blue.
     """
@@ -171,11 +170,9 @@ class Hatching:
 
     Attributes:
         width: width of the hatching lines where the brightness is 0, as a fraction of ``spacing``, from 0 to 1.
-            Brighter regions have thinner lines. With 0, there is no hatching.
-        spacing: distance between neighbouring lines, measured along a row of the picture, in pixels of a picture with
-            1080 rows.
-        levels: brightness below which the first layer of lines begins, and brightness below which the second layer
-            begins.
+            Brighter regions have thinner lines. If 0, there is no hatching.
+        spacing: distance between neighbouring lines along an image row, in pixels of an image with 1080 rows.
+        levels: brightness values below which the first and the second layer of lines are drawn.
         colour: red, green and blue of the ink.
     """
 
@@ -196,15 +193,14 @@ class Style:
     """A style. The settings of the sections can be combined freely.
 
     Attributes:
-        shading: how a colour depends on the light.
-        albedo: share of the captured colours in the surface colours, 0 to 1. The remaining share is white, or ``base``
-            if the shading is none. Gooch shading has no remaining share: it adds ``albedo`` times the captured colour
-            to the shade colour.
-        base: if the shading is none, this colour has the share ``1 - albedo`` in the surface colours.
-        paper: colour behind the scene, or None for the background colour of the picture.
-        persistence: weight of the previous picture while the camera does not move, from 0 to 0.95. The weight applies
-            to the depth, to the normals, and to lines that were fainter in the previous picture.
-        hysteresis: share by which the thresholds of lines are reduced where the previous picture has a line.
+        shading: how colours depend on the light.
+        albedo: fraction of the captured colours in the surface colours, 0 to 1. The rest is white, or ``base`` if
+            ``shading`` is "none". Gooch shading instead adds ``albedo`` times the captured colour to the shade colour.
+        base: colour that makes up the fraction ``1 - albedo`` of the surface colours if ``shading`` is "none".
+        paper: colour behind the scene, or None for the image's background colour.
+        persistence: weight of the previous image while the camera does not move, from 0 to 0.95. It applies to depths,
+            to normals, and to lines that were fainter in the previous image.
+        hysteresis: fraction by which line thresholds are reduced where the previous image has a line.
     """
 
     shading: ShadingKind = "none"

@@ -1,4 +1,4 @@
-"""Shade tables: (R, 256, 3) uint8 arrays. Each column belongs to a tone, and each row to a value of the detail."""
+"""Shade tables: (R, 256, 3) uint8 arrays, whose columns are tones and whose rows are values of the detail."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _DETAIL_ROWS = 32
 
 
 class ShadeMapError(UserError):
-    """The shade map of a style cannot be read, or has another shape than the style needs."""
+    """A style's shade map cannot be read, or does not have the shape that the style needs."""
 
 
 def make_table(style: Style) -> NDArray[np.uint8]:
-    """The shade table of a style. Raises ShadeMapError if the map of the style is not a PNG of the right shape."""
+    """Make a style's shade table. Raises ShadeMapError if the style's map is not a PNG of the right shape."""
     if style.shading == "gooch":
         tones = np.linspace(0, 1, TONES)[:, None]
         return _bytes((1 - tones) * np.array(style.gooch.cool) + tones * np.array(style.gooch.warm))[None]
@@ -37,7 +37,7 @@ def make_table(style: Style) -> NDArray[np.uint8]:
 
 
 def read_map(path: Path, most_rows: int) -> NDArray[np.float64]:
-    """Read a shade map: (rows, columns, 3) in [0, 1]. Raises ShadeMapError."""
+    """Read a shade map (rows, columns, 3) with values in [0, 1]. Raises ShadeMapError."""
     try:
         content = np.frombuffer(read_limited(path, _MAX_MAP_BYTES), np.uint8)
     except UserError as error:

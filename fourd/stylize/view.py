@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from fourd.stylize.styles import Style
 
 REFERENCE_ROWS = 1080
-"""The lengths in a style are in pixels of a picture with this number of rows."""
+"""The lengths in a style are in pixels of an image with this number of rows."""
 
 
 def view_style(
@@ -25,14 +25,14 @@ def view_style(
     focus: Sequence[float] | NDArray[np.floating],
     background: Triple,
 ) -> StyleParameters:
-    """The stylizer's parameters for a picture.
+    """Convert a style to the stylizer's parameters for one image.
 
     Args:
         table: the style's shade table (:func:`fourd.stylize.tables.make_table`).
-        camera: the pinhole camera of the picture.
-        focus: (3,) centre of the scene in world units. The depths of the style are multiples of the distance between
-            the camera and this point.
-        background: red, green and blue behind the scene, used if the style has no paper.
+        camera: the image's pinhole camera.
+        focus: (3,) centre of the scene in world units. The style's depths are multiples of its distance from the
+            camera.
+        background: red, green and blue behind the scene, which are used if the style has no paper.
     """
     inverse = np.linalg.inv(camera.intrinsics)
     light = np.array(style.light.direction)
@@ -69,7 +69,7 @@ def view_style(
 
 
 def _colour_factors(style: Style) -> dict[str, float]:
-    """The factors a, b and c of the colour S * (a + b * F) + c * F, where S is the colour of the table and F is the
+    """Return the factors a, b and c of the colour S * (a + b * F) + c * F, where S is the table's colour and F is the
     captured colour."""
     share, gain = style.albedo, style.ramp.gain
     if style.shading == "none":

@@ -1,4 +1,4 @@
-"""Detection of cameras whose images are late or early, by comparison of the motion in the images of all cameras."""
+"""Detection of cameras whose images are late or early, by comparing the motion in the images of all cameras."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fourd.sync.motion import (
 )
 
 MAX_FRAMES = 300
-"""Maximum number of frames that are compared. The compared frames are taken from the middle of the capture."""
+"""Maximum number of frames that are compared. They are taken from the middle of the capture."""
 MIN_FRAMES = 36
 """Minimum number of frames that are needed for the comparison."""
 

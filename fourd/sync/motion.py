@@ -20,9 +20,9 @@ Grey = NDArray[np.uint8]
 
 NOISE_SIGMAS = 3.0
 ENERGY_FLOOR = 0.1
-"""Before the logarithm of the motion energy is taken, this share of the median energy is added to the energy.
+"""Fraction of the median motion energy that is added to the energy before its logarithm is taken.
 
-The added constant limits the changes of the logarithm at frames without motion.
+The added constant limits how much the logarithm changes at frames without motion.
 """
 FINE_SIGMA_FRAMES, COARSE_SIGMA_FRAMES = 1.0, 6.0
 """Standard deviations in frames of the two Gaussians whose difference is the band-pass filter."""
@@ -37,14 +37,14 @@ WIDTH_PX = 200
 MIN_CONFIDENCE = 0.5
 """An offset is applied or reported only if its confidence is at least this value."""
 UNRELIABLE_FRAMES = 3
-"""Offsets that are estimated from motion can be wrong by up to this number of frames. Offsets of at most this size are
-therefore neither applied nor reported."""
+"""Offsets that are estimated from motion can be wrong by up to this number of frames, so offsets of at most this size
+are neither applied nor reported."""
 MIN_OVERLAP = 12
 MAX_LAG_ERROR_FRAMES = 1.0
 LAG_TOLERANCE_FRAMES = 0.2
 NOISE_CORRELATION = 4.0
-"""Numerator of the noise level of a correlation between two signals. The denominator is the square root of the number
-of frames.
+"""The noise level of a correlation between two signals is this value divided by the square root of the number of
+frames.
 
 The noise level is the maximum correlation that two independent signals reach over some tens of lags.
 """
@@ -57,19 +57,18 @@ INK, GRID, WARNING = (40, 40, 40), (215, 215, 215), (60, 60, 200)
 class Offsets:
     """Time offset of each camera's video relative to the first camera's video.
 
-    Let o be the offset of a camera relative to the first camera. An event at frame f of the first camera's video is at
-    frame f + o of the other camera's video. A camera that starts to record 7 frames after the first camera has o = -7.
+    If a camera has the offset o, an event at frame f of the first camera's video is at frame f + o of this camera's
+    video. A camera that starts to record 7 frames after the first camera has o = -7.
 
     Attributes:
         frames: offsets in whole frames. The offset of the first camera is 0.
         subframes: offsets with fractions of a frame, from parabolas through the peaks of the correlations.
-        confidence: confidence of each camera's offset in [0, 1]. Offsets with a confidence above 0.3 are reliable.
-            Offsets with a confidence below 0.1 are unreliable. The confidence of a pair of cameras is computed from the
-            correlation of their two signals. Let p1 be the peak of the correlation, and p2 the highest correlation at
-            lags more than 3 frames away from the peak. Let c = 4 / sqrt(frames) be the noise level. The pair's
-            confidence is ``min((p1 - c) / (1 - c), 2 * (p1 - p2))``. If the pair's lag differs by more than one frame
-            from the difference of the two cameras' offsets, the pair's confidence is 0. The confidence of a camera is
-            the mean confidence of the better half of its pairs.
+        confidence: confidence of each camera's offset in [0, 1]. Offsets with a confidence above 0.3 are reliable, and
+            those below 0.1 are unreliable. A camera's confidence is the mean confidence of the better half of its
+            pairs. A pair's confidence is ``min((p1 - c) / (1 - c), 2 * (p1 - p2))``, where p1 is the peak of the
+            correlation of its two signals, p2 the highest correlation at lags more than 3 frames away from the peak,
+            and c = 4 / sqrt(frames) the noise level. It is 0 if the pair's lag differs by more than one frame from the
+            difference of the two cameras' offsets.
     """
 
     frames: tuple[int, ...]
@@ -81,9 +80,9 @@ def motion_energy(pictures: Iterable[Grey]) -> Array:
     """Compute the motion energy (F,) of F images: the mean absolute difference, in grey levels, between consecutive
     images.
 
-    Changes of the whole image, such as exposure flicker, are fitted by a gain and an offset, and then removed.
-    Differences below 3 standard deviations of the noise are set to 0. The noise is estimated from the median of the
-    differences. The first image gets the energy of the second image.
+    Brightness changes of the whole image, such as exposure flicker, are fitted by a gain and an offset, and removed.
+    Differences below 3 standard deviations of the noise, which is estimated from the median difference, are set to 0.
+    The first image gets the energy of the second image.
 
     Args:
         pictures: F grey images (H, W) uint8, which are read one after the other. An image width of 200 pixels is
@@ -123,7 +122,7 @@ def _fit_exposure(before: NDArray[np.float32], now: NDArray[np.float32]) -> tupl
         centred = x - x.mean()
         power = float(centred @ centred)
         if power < len(x):
-            # An image with only one grey value does not determine the gain.
+            # If the image has only one grey value, it does not determine the gain.
             return 1.0, float(np.median(now - before))
         gain = float(centred @ y) / power
         offset = float(y.mean() - gain * x.mean())
@@ -133,16 +132,16 @@ def _fit_exposure(before: NDArray[np.float32], now: NDArray[np.float32]) -> tupl
 def estimate_offsets(energies: Sequence[Array], max_offset: int) -> Offsets:
     """Estimate the time offset of each camera relative to the first camera, from the motion energies of all cameras.
 
-    The logarithm of each motion energy is band-pass filtered with a difference of Gaussians. The filter removes gains
-    and slow trends. The filtered signals of every pair of cameras are correlated, which gives one lag per pair. The
-    offsets are fitted to the lags by iteratively reweighted least squares, which approximates least absolute
-    deviations. In the fit, a pair has little weight if its correlation is flat or ambiguous, or if its lag is
-    inconsistent with the lags of other pairs.
+    The logarithm of each motion energy is band-pass filtered with a difference of Gaussians, which removes gains and
+    slow trends. The filtered signals of every pair of cameras are correlated, which gives one lag per pair. The offsets
+    are fitted to the lags by iteratively reweighted least squares, which approximates least absolute deviations. In the
+    fit, a pair has little weight if its correlation is flat or ambiguous, or if its lag is inconsistent with the lags
+    of other pairs.
 
-    Each camera records a different part of the motion. For slow and smooth motion, the best lag can therefore be wrong
-    by some frames, even if the confidence is high. In a recording of a balancing man from four sides at 60 Hz, the
-    error was up to 3 frames. An offset of up to 3 frames therefore does not prove that the cameras lack a common
-    trigger. For sudden motion, such as claps or steps, the estimate is exact to the frame.
+    For sudden motion, such as claps or steps, the estimate is exact to the frame. For slow and smooth motion, the best
+    lag can be wrong by some frames even if the confidence is high, because each camera records a different part of the
+    motion. In a recording of a balancing man from four sides at 60 Hz, the error was up to 3 frames, so an offset of up
+    to 3 frames does not prove that the cameras lack a common trigger.
 
     Args:
         energies: result (F,) of :func:`motion_energy` for each camera. The number of frames F may differ between
@@ -187,7 +186,7 @@ def _bandpass(energy: Array) -> Array:
 
 
 def _estimate_lag(first: Array, second: Array, max_lag: int) -> tuple[float, float]:
-    """Find the lag, in frames and fractions of a frame, at which ``second[f + lag]`` correlates best with ``first[f]``.
+    """Find the lag, in frames with sub-frame accuracy, at which ``second[f + lag]`` correlates best with ``first[f]``.
 
     Returns:
         the lag, and the weight in [0, 1] of this pair of cameras.
@@ -218,8 +217,8 @@ def _correlation(first: Array, second: Array, lag: int) -> float:
 
 
 def plot_offsets(path: Path | str, names: Sequence[str], energies: Sequence[Array], offsets: Offsets) -> None:
-    """Write a PNG plot of all motion energies, atomically. The left panel shows the energies as recorded. The right
-    panel shows the energies shifted by the offsets.
+    """Write a PNG plot of all motion energies, atomically. The left panel shows the energies as recorded, and the right
+    panel shows them shifted by the offsets.
 
     Each camera has a row with its name, offset and confidence. Confidences below 0.1 are printed in red. Each row has a
     separate vertical scale. The grey lines mark the same frame numbers in both panels.
@@ -260,8 +259,8 @@ def _draw_curve(canvas: Grey, energy: Array, shift: int, left: int, top: int, lo
 
 
 def _tick_frames(longest: int) -> int:
-    """Number of frames between two grey lines: 1, 2 or 5 times a power of ten. The number is chosen such that the plot
-    has about ten lines."""
+    """Return the number of frames between two grey lines: 1, 2 or 5 times a power of ten, such that the plot has about
+    ten lines."""
     rough = max(longest / 10, 1)
     power = 10 ** int(np.floor(np.log10(rough)))
     return int(next(power * step for step in (1, 2, 5, 10) if power * step >= rough))

@@ -1,7 +1,7 @@
 """Time offsets between cameras, estimated from their soundtracks by GCC-PHAT.
 
 GCC-PHAT (C. Knapp and G. Carter, "The generalized correlation method for estimation of time delay", 1976) uses only the
-phase of the cross-spectrum. Cameras with different recording levels or microphones can therefore be compared.
+phase of the cross-spectrum, so cameras with different recording levels or microphones can be compared.
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ Samples = NDArray[np.float32]
 RATE = 8000
 """Sampling rate in Hz to which soundtracks are converted."""
 MAX_SECONDS = 300.0
-"""Maximum duration, in seconds, of the part of a soundtrack that is used. The limit bounds the memory to 10 MB per
-camera."""
+"""Maximum duration, in seconds, of the part of a soundtrack that is used. It limits the memory to 10 MB per camera."""
 LOW_HZ, HIGH_HZ = 200.0, 3000.0
 """Lower and upper frequency of the pass band in Hz. Wind and handling noise are mostly below the pass band, and much of
 the noise of phones is above it."""
@@ -36,7 +35,7 @@ MIN_OVERLAP_SECONDS = 0.25
 MAX_GAP_SECONDS = 0.005
 """Gaps between blocks of sound are ignored up to this number of seconds. Longer gaps are filled with silence."""
 SILENCE_RMS = 1e-4
-"""Level below which a soundtrack is treated as silent, as a share of full scale. The value corresponds to -80 dB."""
+"""Level below which a soundtrack is treated as silent, as a fraction of full scale. The value corresponds to -80 dB."""
 ECHO_SECONDS = 0.06
 """A correlation peak counts as an echo of the highest peak if their lags differ by at most this number of seconds."""
 NOISE_SIGMAS, SURE_SIGMAS = 10.0, 20.0
@@ -60,7 +59,7 @@ class Soundtrack:
 
     Attributes:
         samples: (N,) mono samples at 8 kHz, relative to full scale.
-        start: time in seconds of the first sample, relative to the video's first frame. The time can be negative.
+        start: time in seconds of the first sample, relative to the video's first frame; can be negative.
     """
 
     samples: Samples
@@ -78,11 +77,11 @@ class SoundOffsets:
     Attributes:
         seconds: offsets. A sound at the time t of the first camera's video is at the time t + offset of the other
             camera's video.
-        confidence: confidence of each offset in [0, 1]. The confidence of a pair of cameras rises from 0 to 1 while the
-            peak of the correlation rises from 10 to 20 standard deviations of the correlation. The confidence of the
-            pair is reduced if another peak, more than 60 ms away, is higher than 3/4 of the highest peak. The
-            confidence of the pair is 0 if its lag differs from the difference of the two offsets by more than 3 ms. The
-            confidence of a camera is the mean confidence of the better half of its pairs.
+        confidence: confidence of each offset in [0, 1]. A camera's confidence is the mean confidence of the better half
+            of its pairs. A pair's confidence rises from 0 to 1 while the peak of the correlation rises from 10 to 20
+            standard deviations of the correlation. It is reduced if another peak, more than 60 ms away, is higher than
+            3/4 of the highest peak. It is 0 if the pair's lag differs from the difference of the two offsets by more
+            than 3 ms.
         sigmas: for each camera, height of the highest correlation peak among its pairs, in standard deviations of the
             correlation.
     """
@@ -137,7 +136,7 @@ def estimate_sound_offsets(soundtracks: Sequence[Soundtrack]) -> SoundOffsets:
     """Estimate the time offset of each camera relative to the first camera, from sound that all cameras have recorded.
 
     The soundtracks of pairs of cameras are correlated by GCC-PHAT from 200 to 3000 Hz. A parabola through the peak of
-    the correlation gives the lag with sub-sample accuracy. The offsets are fitted to the lags of the pairs. The offsets
+    the correlation gives the lag with sub-sample accuracy. The offsets are fitted to the lags of the pairs. They
     include the time that sound travels from its source to each camera; see :func:`travel_times`.
 
     Args:
@@ -166,11 +165,11 @@ def estimate_sound_offsets(soundtracks: Sequence[Soundtrack]) -> SoundOffsets:
 
 
 def travel_times(centres: Mapping[str, Array], source: Array) -> dict[str, float]:
-    """Time in seconds that sound travels from ``source`` to each camera, at 343 m/s.
+    """Return the time in seconds that sound travels from ``source`` to each camera, at 343 m/s.
 
     Args:
         centres: maps the name of each camera to its position (3,) in metres.
-        source: (3,) position of the source of the sound in metres.
+        source: (3,) position of the sound source in metres.
     """
     return {name: float(np.linalg.norm(centre - source)) / SPEED_OF_SOUND for name, centre in centres.items()}
 
@@ -205,7 +204,7 @@ def _estimate_lag(first: Soundtrack, second: Soundtrack) -> tuple[float, float, 
 
 
 def _phat(first: Samples, second: Samples, limit: int) -> Array:
-    """Correlation (2 * limit + 1,) of the phases in the pass band, for lags from -limit to limit samples.
+    """Return the correlation (2 * limit + 1,) of the phases in the pass band, for lags from -limit to limit samples.
 
     If one signal is a delayed copy of the other signal, the correlation is 1 at the lag of the delay.
     """

@@ -50,8 +50,7 @@ class BoardRenderer:
     """Renders one board as seen by one camera.
 
     The ray of each sample is undistorted numerically, and then intersected with the plane of the board. The only error
-    of the image comes from the limited resolution of the board's pattern: one pixel of the pattern is 1/96 of a square
-    wide.
+    of the image comes from the limited resolution of the board's pattern, whose pixels are 1/96 of a square wide.
     """
 
     def __init__(self, board: CalibrationBoard, camera: Camera, optics: Optics) -> None:
@@ -63,8 +62,8 @@ class BoardRenderer:
         self._rays = _sample_rays(camera)
 
     def render(self, poses: Sequence[BoardPose], generator: np.random.Generator) -> Picture:
-        """Render the mean of the images for all ``poses``. The mean has the motion blur of a moving board. Returns (H,
-        W) uint8."""
+        """Render the mean (H, W) uint8 of the images for all ``poses``, which shows the motion blur of a moving
+        board."""
         exposure = np.mean([self._render_sharp(pose) for pose in poses], axis=0)
         blurred = cv2.GaussianBlur(exposure, (0, 0), self.optics.blur_px)
         noisy = blurred + generator.normal(0, self.optics.noise, blurred.shape)
@@ -80,7 +79,7 @@ class BoardRenderer:
         rays = self._rays[SUPERSAMPLING * top : SUPERSAMPLING * bottom, SUPERSAMPLING * left : SUPERSAMPLING * right]
         rotation = self.camera.rotation @ pose.rotation
         centre = self.camera.rotation @ pose.translation + self.camera.translation
-        # Rays in board coordinates start at the camera's centre. The rays are scaled such that a step of 1 along a ray
+        # Rays in board coordinates start at the camera's centre. They are scaled such that a step of 1 along a ray
         # changes the camera depth by 1.
         start = -rotation.T @ centre
         directions = rays @ rotation.astype(np.float32)
@@ -106,8 +105,8 @@ class BoardRenderer:
         return whole
 
     def _bounding_box(self, pose: BoardPose) -> tuple[int, int, int, int] | None:
-        """Pixel bounds (left, top, right, bottom) of the region that may show the board, or None if the board is not in
-        the image."""
+        """Return the pixel bounds (left, top, right, bottom) of the region that may show the board, or None if the
+        board is not in the image."""
         width, height = self.board.size_m
         border = BORDER_SQUARES * self.board.square_m
         x, y = np.meshgrid(np.linspace(-border, width + border, 9), np.linspace(-border, height + border, 9))
@@ -127,8 +126,8 @@ class BoardRenderer:
 
 
 def _sample_rays(camera: Camera) -> NDArray[np.float32]:
-    """Rays (S * H, S * W, 3) through the samples, in camera coordinates and scaled to z = 1. S is the number of samples
-    per pixel along each axis."""
+    """Return the rays (S * H, S * W, 3) through the samples, in camera coordinates and scaled to z = 1. S is the number
+    of samples per pixel along each axis."""
     steps = (np.arange(max(camera.width, camera.height) * SUPERSAMPLING) + 0.5) / SUPERSAMPLING
     x, y = np.meshgrid(steps[: camera.width * SUPERSAMPLING], steps[: camera.height * SUPERSAMPLING])
     pixels = np.stack([x, y], axis=-1).reshape(-1, 1, 2)

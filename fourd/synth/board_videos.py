@@ -38,7 +38,7 @@ REACH_M = 0.38
 TILT_DEGREES = 35.0
 """Amplitude of the board's rotations, in degrees."""
 EXPOSURE = 0.05
-"""Exposure time as a share of the time between two frames. The exposure time determines the motion blur."""
+"""Exposure time as a fraction of the time between two frames. It determines the motion blur."""
 EXPOSURE_SAMPLES = 3
 BOARD = CalibrationBoard(7, 5, 0.08, 0.06, "DICT_4X4_50")
 """The default board."""
@@ -103,7 +103,7 @@ def make_board_videos(out: Path, settings: BoardSettings, track: Track) -> None:
 
 
 def rig_cameras(settings: BoardSettings) -> list[Camera]:
-    """Cameras on an arc around the origin, at two heights. Each camera has a different lens."""
+    """Return the cameras on an arc around the origin, at two heights. Each camera has a different lens."""
     generator = np.random.default_rng([settings.seed, 1])
     angles = np.radians(np.linspace(-ARC_DEGREES / 2, ARC_DEGREES / 2, settings.cameras))
     size, cameras = settings.size, []
@@ -121,8 +121,8 @@ def rig_cameras(settings: BoardSettings) -> list[Camera]:
 
 
 def board_pose(settings: BoardSettings, time: float) -> BoardPose:
-    """Pose of the board at a time, which is given in frames. The board moves smoothly, and its front faces the middle
-    of the cameras' arc."""
+    """Return the pose of the board at a ``time`` in frames. The board moves smoothly, and its front faces the middle of
+    the cameras' arc."""
     generator = np.random.default_rng([settings.seed, 2])
     phases, cycles = generator.uniform(0, 2 * np.pi, 6), generator.uniform(2.0, 5.0, 6)
     # Neither the speed of the board nor the motion blur depends on the number of frames.
@@ -138,8 +138,7 @@ def board_pose(settings: BoardSettings, time: float) -> BoardPose:
 
 
 def write_grey_video(path: Path, pictures: Iterator[Picture], fps: int) -> None:
-    """Encode grey images (H, W) uint8 as H.264 video with nearly lossless quality. If H.264 is not available, MPEG-4 is
-    used."""
+    """Encode grey images (H, W) uint8 as nearly lossless H.264 video, or as MPEG-4 if H.264 is not available."""
     encoder = "libx264" if "libx264" in av.codecs_available else "mpeg4"
     options = {"crf": "10", "preset": "veryfast", "threads": "1"} if encoder == "libx264" else {"qscale": "1"}
     with av.open(str(path), "w") as container:

@@ -1,5 +1,4 @@
-"""The synthetic figure, which consists of rounded parts on a skeleton. The joint angles are smooth, periodic functions
-of time.
+"""The synthetic figure: rounded parts on a skeleton, whose joint angles are smooth, periodic functions of time.
 
 World units are metres, and +z points up. The figure stands at the origin and faces +x. The axis +y points to the
 figure's left.
@@ -40,8 +39,8 @@ class Part:
     pattern: Pattern
 
     def spheres(self) -> list[tuple[Array, float]]:
-        """Two spheres whose convex hull contains the part. Each sphere is given by its centre (3,) in world coordinates
-        and its radius, both in metres."""
+        """Return two spheres whose convex hull contains the part. Each sphere is given by its centre (3,) in world
+        coordinates and its radius, both in metres."""
         scale = float(self.stretch.max())
         end = self.origin + self.frame[:, 2] * (self.length * self.stretch[2])
         return [(self.origin, self.radii[0] * scale), (end, self.radii[1] * scale)]
@@ -85,7 +84,7 @@ def make_figure(seed: int) -> Figure:
 
 
 def pose_figure(figure: Figure, phase: float) -> list[Part]:
-    """Compute the parts of the figure at a given time. ``phase`` is the time as a number of gait cycles.
+    """Compute the parts of the figure at the time ``phase``, in gait cycles.
 
     One gait cycle consists of two steps, and each step includes a leap.
     """
@@ -215,7 +214,8 @@ def _limb(frame: Array, joint: Array, length: float, first: float, second: float
 
 
 def _lowest_height(parts: Sequence[Part]) -> float:
-    """Approximate height in metres of the lowest point of ``parts``: a soft minimum over the spheres of the parts.
+    """Approximate the height, in metres, of the lowest point of ``parts`` by a soft minimum over the spheres of the
+    parts.
 
     The soft minimum makes the height change smoothly over time, even when the lowest point moves from one foot to the
     other.

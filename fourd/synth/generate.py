@@ -1,4 +1,5 @@
-"""Generation of a synthetic capture: cameras, images, mattes, true depth, true clean plates and settings."""
+"""Generation of a synthetic capture: cameras, images, mattes, true depth, true clean plates (images without the figure)
+and settings."""
 
 from __future__ import annotations
 
@@ -33,23 +34,23 @@ CYCLE_FRAMES = 24
 RING_RADIUS = 3.6
 RING_HEIGHTS = (1.35, 0.75, 2.15)
 FILL = 0.9
-"""Maximum extent of the figure in any image over a whole gait cycle, as a share of the image's side length."""
+"""Maximum extent of the figure in any image over a whole gait cycle, as a fraction of the image's side length."""
 
 
 @dataclass(frozen=True)
 class SynthSettings:
-    """Settings of a synthetic capture. The settings determine every byte of the capture.
+    """Settings of a synthetic capture, which determine every byte of it.
 
     Attributes:
-        frames: number of frames, at least 1. The frames cover a whole number of gait cycles of about 24 frames each, so
-            the capture can be played in a loop.
-        cameras: number of cameras, 3 to 100. The cameras are evenly spaced on a ring with a radius of 3.6 m. The
-            cameras have three different heights.
+        frames: number of frames, at least 1. They cover a whole number of gait cycles of about 24 frames each, so the
+            capture can be played in a loop.
+        cameras: number of cameras, 3 to 100. They are evenly spaced on a ring with a radius of 3.6 m, at three
+            different heights.
         size: width and height of the images, 32 to 4096 pixels.
-        seed: seed of all random numbers, at least 0. The seed determines the clothes, the proportions and the gait
-            phase in frame 0.
+        seed: seed of all random numbers, at least 0. It determines the clothes, the proportions and the gait phase in
+            frame 0.
         gloss: strength of the highlights, 0 to 1.
-        fps: frame rate of the capture in frames per second, 0.01 to 1000. The frame rate does not change the images.
+        fps: frame rate of the capture in frames per second, 0.01 to 1000. It does not change the images.
 
     Raises:
         UserError: if a value is out of range. The error message contains the name of the option.
@@ -128,7 +129,7 @@ def make_synthetic(
 
 
 def is_finished(out: Path | str, settings: SynthSettings) -> bool:
-    """Whether ``out`` contains a finished capture with these settings."""
+    """Return whether ``out`` contains a finished capture with these settings."""
     return read_settings(Path(out)) == {"version": VERSION, **asdict(settings), "finished": True}
 
 
@@ -163,13 +164,14 @@ def _prepare_folder(out: Path) -> None:
 
 
 def gait_phase(frame: int, frames: int) -> float:
-    """Phase of a frame in gait cycles. The capture covers a whole number of cycles, so it can be played in a loop."""
+    """Return the phase of a frame in gait cycles. The capture covers a whole number of cycles, so it can be played in a
+    loop."""
     return frame * max(1, round(frames / CYCLE_FRAMES)) / frames
 
 
 def _make_cameras(figure: Figure, settings: SynthSettings) -> list[Camera]:
-    """Create cameras that face the figure. All cameras have the same focal length: the longest focal length with which
-    the figure is inside all images."""
+    """Create cameras that face the figure. They have the same focal length: the longest with which the figure is inside
+    all images."""
     unit = np.eye(3)
     poses = [pose_figure(figure, step / 48) for step in range(48)]
     target, up = np.array([0.0, 0.0, 0.88]), np.array([0.0, 0.0, 1.0])
@@ -200,7 +202,7 @@ def _make_cameras(figure: Figure, settings: SynthSettings) -> list[Camera]:
 def _write_camera(
     out: Path, name: str, camera: Camera, figure: Figure, settings: SynthSettings, advance: Callable[[], None]
 ) -> None:
-    """Write the clean plate and all frames of one camera."""
+    """Write the clean plate (the image without the figure) and all frames of one camera."""
     plate = render_plate(camera, 2 * np.pi * figure.start)
     _write_image(out / "truth" / "bgs" / f"{name}.png", np.round(255 * plate).astype(np.uint8)[..., ::-1])
     for frame in range(settings.frames):

@@ -43,7 +43,7 @@ class Pattern:
     badge_colour: Colour = (1.0, 1.0, 1.0)
 
     def colours(self, xyz: Array) -> Array:
-        """Colours (N, 3), RGB in [0, 1], at positions ``xyz`` (N, 3).
+        """Return the colours (N, 3), RGB in [0, 1], at positions ``xyz`` (N, 3).
 
         The positions are in metres and in the coordinates of the part. The z axis is the part's axis.
         """
@@ -57,7 +57,7 @@ class Pattern:
         return colours * self._brightness(xyz)[:, None]
 
     def _second_weight(self, xyz: Array) -> Array:
-        """Weight (N,) in [0, 1] of the second colour at positions ``xyz`` (N, 3)."""
+        """Return the weight (N,) in [0, 1] of the second colour at positions ``xyz`` (N, 3)."""
         frequency = 2 * np.pi / self.period
         x, y, z = xyz.T
         if self.kind == "plain":
@@ -76,14 +76,14 @@ class Pattern:
         return _sharpen(waves) if self.kind == "checks" else _sharpen(np.abs(waves) - 0.45)
 
     def _brightness(self, xyz: Array) -> Array:
-        """Brightness factor (N,) that varies smoothly over the surface, so that large areas of one colour still have
-        texture."""
+        """Return the brightness factor (N,) that varies smoothly over the surface, so that large areas of one colour
+        still have texture."""
         return 0.95 + 0.05 * np.sin(xyz @ np.array([23.0, 31.0, 27.0]) + self.phase)
 
 
 def _sharpen(waves: Array) -> Array:
-    """Convert a sine wave in [-1, 1] to a square wave in [0, 1]. The soft edges of the square wave have a width of
-    about a tenth of the period."""
+    """Convert a sine wave in [-1, 1] to a square wave in [0, 1] with soft edges, whose width is about a tenth of the
+    period."""
     return np.clip(0.5 + 2.5 * waves, 0, 1)
 
 

@@ -15,11 +15,11 @@ Array = NDArray[np.float64]
 Box = tuple[int, int, int, int]
 
 SAMPLES = 3
-"""Number of rays per pixel along each axis. The number is odd, so that one ray passes through the centre of the pixel,
-where the depth is measured."""
+"""Number of rays per pixel along each axis. It is odd, so that one ray passes through the centre of the pixel, where
+the depth is measured."""
 
 BAND_SAMPLES = 1 << 20
-"""Approximate number of rays that are traced at once. The limit bounds the memory for large images."""
+"""Approximate number of rays that are traced at once. It bounds the memory for large images."""
 
 KEY_LIGHT = np.array([0.45, 0.35, 0.82]) / np.linalg.norm([0.45, 0.35, 0.82])
 FILL_LIGHT = np.array([-0.7, -0.5, 0.35]) / np.linalg.norm([-0.7, -0.5, 0.35])
@@ -32,7 +32,7 @@ class RenderedFigure:
 
     Attributes:
         rgb: (H, W, 3) uint8 colours.
-        mask: (H, W) uint8 share of each pixel's rays that hit the figure; 255 means all rays.
+        mask: (H, W) uint8 fraction of each pixel's rays that hit the figure; 255 means all rays.
         depth: (H, W) uint16 camera depth at the pixel centre, in millimetres; 0 means background.
     """
 
@@ -128,8 +128,8 @@ def _trace(
 
 
 def _intersect(part: Part, camera: Camera, u: Array, v: Array) -> Array:
-    """Camera depths (len(v), len(u)) at which the rays (u, v, 1) enter the part. The depth is infinite for rays that
-    miss the part.
+    """Return the camera depths (len(v), len(u)) at which the rays (u, v, 1) enter the part, or infinity for rays that
+    miss it.
 
     In its own coordinates before scaling, the part is a convex rounded cone. A ray enters the part at the first point
     where it meets one of the two spheres or the lateral surface.
@@ -163,13 +163,15 @@ def _intersect(part: Part, camera: Camera, u: Array, v: Array) -> Array:
 
 
 def _enter_sphere(square: Array, across: Array, excess: float) -> Array:
-    """The smaller root t of ``square * t^2 + 2 * across * t + excess = 0``, or infinity if there is no real root."""
+    """Return the smaller root t of ``square * t^2 + 2 * across * t + excess = 0``, or infinity if there is no real
+    root."""
     root = across * across - square * excess
     return np.where(root > 0, (-across - np.sqrt(np.maximum(root, 0))) / square, np.inf)
 
 
 def _shade(part: Part, eye: Array, direction: Array, t: Array, gloss: float) -> Array:
-    """RGB colours (N, 3) of the part at the points ``eye + t * direction``, where the rays enter the part."""
+    """Return the RGB colours (N, 3) of the part at the points ``eye + t * direction``, where the rays enter the
+    part."""
     local = (eye - part.origin + direction * t[:, None]) @ part.frame
     normal = _normals(part, local / part.stretch) / part.stretch @ part.frame.T
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -184,8 +186,8 @@ def _shade(part: Part, eye: Array, direction: Array, t: Array, gloss: float) -> 
 
 
 def _normals(part: Part, local: Array) -> Array:
-    """Outward normals (N, 3) of the part before scaling, at the surface points ``local`` (N, 3). The normals do not
-    have unit length.
+    """Return the outward normals (N, 3) of the part, before scaling, at the surface points ``local`` (N, 3). They are
+    not normalised.
 
     At each surface point, one sphere inside the part touches the surface. The normal is the vector from the centre of
     this sphere to the surface point.
@@ -199,10 +201,9 @@ def _normals(part: Part, local: Array) -> Array:
 
 
 def _bounding_box(part: Part, camera: Camera) -> Box:
-    """Pixel bounds (left, top, right, bottom) of the part's projection, clipped to the image.
+    """Return the pixel bounds (left, top, right, bottom) of the part's projection, clipped to the image.
 
-    The bounds ``right`` and ``bottom`` are exclusive. The bounds contain the exact projections of the part's two
-    spheres.
+    ``right`` and ``bottom`` are exclusive. The bounds contain the exact projections of the part's two spheres.
     """
     k = camera.intrinsics
     edges: list[list[float]] = [[], []]
@@ -218,7 +219,7 @@ def _bounding_box(part: Part, camera: Camera) -> Box:
 
 
 def projected_extent(parts: Sequence[Part], camera: Camera) -> Array:
-    """Bounds (2, 2) of the parts' projection in units of the focal length.
+    """Return the bounds (2, 2) of the parts' projection in units of the focal length.
 
     Row 0 contains the minimum and maximum of x, and row 1 contains the minimum and maximum of y.
     """
@@ -233,8 +234,8 @@ def projected_extent(parts: Sequence[Part], camera: Camera) -> Array:
 
 
 def _pixel_rays(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
-    """Rays (u, v, 1) through the samples of pixels, in camera coordinates. Returns u for each column x and v for each
-    row y.
+    """Return the rays (u, v, 1) through the samples of pixels, in camera coordinates, as u for each column x and v for
+    each row y.
 
     The parameter along a ray (u, v, 1) is equal to the camera depth.
     """

@@ -1,4 +1,4 @@
-"""The static background of a full scene: the background's model, points and clean plates."""
+"""The static background of a full scene: its model, its points and its clean plates (images without the subject)."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from fourd.training.points.spacing import point_spacings
 SIZE_STEP_PX = 32
 """The width and the height of padded plates are rounded up to a multiple of this number of pixels."""
 CACHED_STEPS = 100
-"""Number of training steps after which the cached depth and image features of a plate are computed again. Until then,
-the cached values are reused, because depth and features change only slowly during training."""
+"""Number of training steps for which the cached depth and image features of a plate are reused. Reusing them is
+possible because they change only slowly during training."""
 MAX_DEPTH_BEHIND = 9.0
-"""Tolerance of the occlusion test, as a multiple of a point's spacing. A point is occluded in a plate if it lies behind
-the plate's occlusion depth by more than the tolerance."""
+"""Tolerance of the occlusion test, as a multiple of the point's spacing. A point is occluded in a plate if it lies
+farther than the tolerance behind the plate's occlusion depth."""
 MIN_RADIUS = 0.6
 """Smallest radius of a background point, as a multiple of the point's spacing."""
 
@@ -40,7 +40,7 @@ def create_background(
     """Create an untrained background.
 
     Args:
-        points: initial points. If no source view sees a point, the point's own colour is used.
+        points: initial points. The colour of an initial point is used where no source view sees the point.
         plates: camera index -> clean plate.
         config: the run's training config.
         contraction: function that maps unbounded space into the volume of the K-Planes.
@@ -68,8 +68,8 @@ def create_background(
         contraction,
     )
     if config.background.planes.reduction != "product":
-        # The K-Planes start at zero, not at random values. Cells that no plate (background image) shows get no
-        # gradient, so random values would remain there as noise.
+        # The K-Planes start at zero because random values would remain as noise in the cells that no plate shows, which
+        # never get a gradient.
         for plane in model.planes.planes:
             torch.nn.init.zeros_(plane)
     cloud = FramePoints.initial(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)
@@ -78,10 +78,11 @@ def create_background(
 
 
 def outside_all_images(xyz: Tensor, cameras: Sequence[Camera]) -> Tensor:
-    """(N,) bool, true for the points of ``xyz`` (N, 3) that lie outside the images of all ``cameras``.
+    """Return an (N,) bool mask that is true for the points of ``xyz`` (N, 3) that lie outside the images of all
+    ``cameras``.
 
-    Training never renders these points, so they never get a gradient. Densification must keep these points, although it
-    removes other points that never get a gradient.
+    Training never renders these points, so they never get a gradient. Densification removes points without a gradient,
+    but must keep these.
     """
     outside = np.ones(xyz.shape[0], np.bool_)
     for camera in cameras:
@@ -101,13 +102,13 @@ class _CachedPlate:
 
 @dataclass(eq=False)
 class StaticBackground:
-    """The background's points, which all frames share, and the background's model. With image-based colour, the colours
+    """The background's model and its points, which all frames share. If the model has image-based colour, the colours
     of the points are blended from the clean plates.
 
     Attributes:
         model: point model without time planes, in contracted space.
         points: the background's points.
-        plates: camera index in the capture -> clean plate, for training cameras only.
+        plates: camera index in the capture -> clean plate. Only training cameras have an entry.
         rig: the current cameras; if None, the cameras stored in ``plates`` are used.
     """
 
@@ -124,24 +125,24 @@ class StaticBackground:
         self.points = self.points.to(device)
 
     def count_step(self) -> None:
-        """Count one training step. Cached depths and features of a plate expire after CACHED_STEPS training steps."""
+        """Count one training step. A plate's cached depth and features expire after CACHED_STEPS training steps."""
         self._step += 1
 
     def camera(self, index: int) -> Camera:
-        """The current camera of a plate."""
+        """Return the current camera of a plate."""
         return self.plates[index].camera if self.rig is None else self.rig.cameras[index]
 
     def clear_cache(self) -> None:
         """Drop the cached depths and features of all plates.
 
-        A resumed run starts with an empty cache. Saving a checkpoint also clears the cache, so that a resumed run and
-        an uninterrupted run give the same result.
+        A resumed run starts with an empty cache. To give the same result, an uninterrupted run clears its cache
+        whenever it saves a checkpoint.
         """
         self._cache.clear()
 
     def hidden_points(self) -> Tensor:
-        """(N,) bool, true for the points that are hidden in all plates. A point is hidden in a plate if the point lies
-        outside the plate's image or is occluded in the plate."""
+        """Return an (N,) bool mask that is true for the points that are hidden in all plates. A point is hidden in a
+        plate if it lies outside the plate's image or is occluded in the plate."""
         xyz, spacing = self.points.xyz.cpu().double().numpy(), self.points.spacing.cpu().numpy()
         hidden = np.ones(len(xyz), np.bool_)
         for index in self.plates:
@@ -156,13 +157,13 @@ class StaticBackground:
     def sources(
         self, cameras: Sequence[int], *, train_encoder: bool = False, points: SizedPoints | None = None
     ) -> SourceViews:
-        """The plates of the given cameras as source views, with cached occlusion depths and image features.
+        """Return the plates of the given cameras as source views, with occlusion depths and image features.
 
         Args:
             cameras: indices of the cameras.
             train_encoder: whether this step trains the image encoder. If true, the returned views contain no features,
-                so that the encoder computes the features again, with a gradient.
-            points: if given, this call computes the occlusion depths of these points and the features of the plates. If
+                so that the encoder computes them again with a gradient.
+            points: points from which this call computes the occlusion depths. It also encodes the plates again. If
                 None, cached depths and features are used.
         """
         images, mattes, padded = self._padded_plates(cameras)
@@ -181,10 +182,11 @@ class StaticBackground:
         )
 
     def _padded_plates(self, cameras: Sequence[int]) -> tuple[Tensor, Tensor, tuple[Camera, ...]]:
-        """Images (V, 3, H, W), coverage masks (V, H, W) and cameras of the plates with camera indices ``cameras``.
+        """Return images (V, 3, H, W), coverage masks (V, H, W) and cameras of the plates with camera indices
+        ``cameras``.
 
-        All plates are padded to the size of the largest plate, so that their depths and features can be stacked to one
-        tensor.
+        All plates are padded to the size of the largest plate, so that their depths and features can be stacked into
+        one tensor.
         """
         plates = [self.plates[index] for index in cameras]
         height = max(_round_up(plate.camera.height) for plate in self.plates.values())

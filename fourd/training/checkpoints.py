@@ -29,7 +29,7 @@ KEPT = 2
 DIGEST_BYTES = 16
 MAX_SHOWN_MISMATCHES = 3
 MAX_STATE = 1e30
-"""Upper limit of the numbers in :class:`SavedProgress`."""
+"""Upper limit of the absolute values in :class:`SavedProgress`."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,13 @@ class SavedProgress:
     psnr: float
 
     def to_json(self) -> dict[str, float]:
-        """The numbers as JSON data, for the argument ``state`` of :func:`save_checkpoint`."""
+        """Return the numbers as JSON data, for the argument ``state`` of :func:`save_checkpoint`."""
         return {"seconds": self.seconds, "psnr": self.psnr}
 
     @classmethod
     def from_json(cls, state: object, source: Path | str) -> SavedProgress:
-        """The inverse of :meth:`to_json`. Raises UserError, with a message that names ``source``, if ``state`` is not
-        data that :meth:`to_json` could have returned."""
+        """Read the data that :meth:`to_json` returned. Raises UserError, with a message that names ``source``, if
+        ``state`` has other content."""
         values = [state.get(name) if isinstance(state, dict) else None for name in ("seconds", "psnr")]
         seconds, psnr = (
             value if isinstance(value, int | float) and abs(value) < MAX_STATE else None for value in values
@@ -65,7 +65,7 @@ class SavedProgress:
 
 
 def checkpoint_path(folder: Path, step: int) -> Path:
-    """Path of a step's checkpoint in ``folder``."""
+    """Return the path of a step's checkpoint in ``folder``."""
     return folder / f"{step:08d}.safetensors"
 
 
@@ -78,8 +78,8 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
         tensors: name -> dense tensor, stored bit for bit.
         state: JSON data that is stored in the file's header. Floats are stored exactly.
 
-    The file also contains a digest of its own contents, and the digests (BLAKE2b) of all points files of this step.
-    Write the points files before calling this function.
+    The file also contains BLAKE2b digests of its own contents and of this step's points files. Write the points files
+    before calling this function.
 
     Returns:
         The file's path.
@@ -87,7 +87,7 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
     Raises:
         UserError: the folder is not writable, for instance because the disk is full. If writing fails, older
             checkpoints are unchanged, and no file of the new checkpoint remains.
-        ValueError: the argument ``state`` is not JSON data, for example because it contains NaN.
+        ValueError: ``state`` is not JSON data, for example because it contains NaN.
     """
     plain = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
     path = checkpoint_path(folder, step)
@@ -109,8 +109,8 @@ def latest_checkpoint(folder: Path) -> tuple[Path | None, str]:
 
     Returns:
         The pair (path, note). The path is None if the folder is missing or contains no intact checkpoint. The note is
-        one line about newer checkpoints that were skipped because they are damaged. If no checkpoint was skipped, the
-        note is an empty string.
+        one line about newer checkpoints that were skipped because they are damaged, or an empty string if none was
+        skipped.
     """
     damaged: list[str] = []
     found = None
@@ -141,10 +141,9 @@ def load_checkpoint(path: Path) -> tuple[int, dict[str, Tensor], dict[str, Any]]
 
 
 def verify_checkpoint(path: Path) -> int:
-    """Verify a checkpoint with the points of all frames, and return the number of verified files.
+    """Verify a checkpoint file and its points files, and return the number of verified files.
 
-    Checkpoints of older versions of fourd contain no digests of points files. For these checkpoints, only the
-    checkpoint file is verified.
+    Checkpoints of older versions of fourd contain no digests of points files, so only the checkpoint file is verified.
 
     Raises UserError if a file is missing, truncated or altered. The message names the file.
     """
@@ -173,7 +172,7 @@ def _read(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
         require_regular(path)
         with safe_open(path, framework="pt") as stream:
             header = stream.metadata() or {}
-            # ``stream`` has the method keys() but is not iterable.
+            # ``stream`` has a method keys() but is not iterable.
             tensors = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
     except (OSError, SafetensorError) as error:
         raise UserError(
@@ -217,7 +216,7 @@ def restore(module: nn.Module, tensors: Mapping[str, Tensor], prefix: str, sourc
 
 
 def pack_optimizer(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, Tensor]:
-    """An optimizer's state as tensors with names ``PREFIX + INDEX.NAME``, such as ``optimizer.3.exp_avg``.
+    """Return an optimizer's state as tensors named ``PREFIX + INDEX.NAME``, such as ``optimizer.3.exp_avg``.
 
     INDEX is the parameter's number in the order of the optimizer's groups. Learning rates and other settings are not
     included, because they come from the config. Parameters without a gradient have no state.
@@ -256,7 +255,8 @@ def unpack_optimizer(
 
 
 def pack_torch_rng(generator: torch.Generator | None = None) -> Tensor:
-    """The state of a torch CPU generator as a uint8 tensor. If ``generator`` is None, the default generator is used."""
+    """Return the state of a torch CPU generator as a uint8 tensor. If ``generator`` is None, the default generator is
+    used."""
     return torch.get_rng_state() if generator is None else generator.get_state()
 
 
@@ -270,12 +270,12 @@ def unpack_torch_rng(state: Tensor, generator: torch.Generator | None = None) ->
 
 
 def pack_numpy_rng(generator: np.random.Generator) -> dict[str, Any]:
-    """The state of a NumPy generator as JSON data. The 128-bit integers of the state are stored exactly."""
+    """Return the state of a NumPy generator as JSON data. Its 128-bit integers are stored exactly."""
     return json.loads(json.dumps(generator.bit_generator.state, default=_array_as_list))
 
 
 def unpack_numpy_rng(state: Mapping[str, Any]) -> np.random.Generator:
-    """Create a NumPy generator with a state from :func:`pack_numpy_rng`.
+    """Create a NumPy generator from a state that was returned by :func:`pack_numpy_rng`.
 
     Raises ValueError if the kind of generator is unknown.
     """
@@ -297,11 +297,9 @@ def unpack_numpy_rng(state: Mapping[str, Any]) -> np.random.Generator:
 
 
 def _drop_old(folder: Path, step: int) -> None:
-    """Delete all checkpoints up to ``step`` except the two newest. Damaged checkpoints of steps after ``step`` are also
-    deleted.
+    """Delete all checkpoints up to ``step`` except the two newest, and all damaged checkpoints of later steps.
 
-    Checkpoints of later steps exist if the newest checkpoint was damaged, so that the run was resumed from an older
-    one.
+    Checkpoints of later steps exist if the run was resumed from an older checkpoint because the newest was damaged.
     """
     files = checkpoint_files(folder)
     for path in [path for path in files if int(path.stem) <= step][:-KEPT]:
@@ -314,7 +312,7 @@ def _drop_old(folder: Path, step: int) -> None:
 
 
 def _cannot_write(folder: Path, error: Exception) -> UserError:
-    # safetensors raises an exception type of its own, which contains the system's error number only in the message.
+    # safetensors raises its own exception type, which contains the system's error number only in its message.
     is_full = getattr(error, "errno", None) == errno.ENOSPC or f"os error {errno.ENOSPC})" in str(error)
     before = checkpoint_files(folder)
     kept = f"the previous checkpoint, {before[-1].name}, is intact" if before else "there is no previous checkpoint"
@@ -331,7 +329,8 @@ def _altered(path: Path) -> UserError:
 
 
 def _points_digests(folder: Path) -> dict[str, str]:
-    """File name -> digest of each points file in ``folder``. If the folder is missing, the result is empty."""
+    """Compute a digest of each points file in ``folder``, by file name. If the folder is missing, the result is
+    empty."""
     digests = {}
     for path in sorted(folder.glob("*.safetensors")):
         if not path.name.startswith(UNFINISHED):
@@ -341,7 +340,7 @@ def _points_digests(folder: Path) -> dict[str, str]:
 
 
 def _digest(header: Mapping[str, str], tensors: Mapping[str, Tensor]) -> str:
-    """Digest of the header, and of the tensors with their names, dtypes and shapes."""
+    """Compute a digest of the header and of the tensors, including their names, dtypes and shapes."""
     digest = _new_hash()
     for name in ("format", "step", "state", "points"):
         digest.update(json.dumps([name, header.get(name)]).encode())
@@ -358,7 +357,7 @@ def _new_hash() -> hashlib.blake2b:
 
 
 def _checksum(tensors: Mapping[str, Tensor]) -> int:
-    """CRC-32 of the tensors' names and bytes. Checkpoints of older versions of fourd contain this checksum."""
+    """Compute the CRC-32 of the tensors' names and bytes, which checkpoints of older versions of fourd contain."""
     value = 0
     for name in sorted(tensors):
         value = zlib.crc32(name.encode(), value)

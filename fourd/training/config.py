@@ -20,19 +20,19 @@ class LossConfig:
     image: Literal["mse", "huber"] = "mse"
     """Loss function that compares rendered and true colours."""
     perceptual: float = 1e-3
-    """Weight of the LPIPS loss (VGG-16). LPIPS is used only if its network weights are installed."""
+    """Weight of the LPIPS loss (VGG-16). LPIPS needs installed network weights; if they are missing, `stand_in`
+    replaces it."""
     stand_in: float = 1e-2
-    """Weight of the loss 1 - SSIM. This loss replaces LPIPS if the network weights of LPIPS are missing."""
+    """Weight of the loss 1 - SSIM, which replaces LPIPS if the network weights of LPIPS are missing."""
     mask: float = 1e-1
     """Weight of the mean squared difference between rendered alpha and matte."""
     residual: float = 1e-3
-    """Weight of the mean squared displacement that the residual field adds to the points. The displacement is measured
-    in point spacings."""
+    """Weight of the mean squared displacement that the residual field adds to the points, in point spacings."""
     high_sh: float = 3e-3
-    """Weight of the mean squared SH coefficient of the degrees 2 and 3 of foreground points. The loss is used only with
+    """Weight of the mean squared SH coefficient of degrees 2 and 3 of the foreground points. Used only with
     `appearance: both`."""
     shadow: float = 1e-2
-    """Weight of the mean of (f - 1)^2 over the shadow factors f of the background points. A factor of 1 means no
+    """Weight of the mean of (f - 1)^2, where f is the shadow factor of a background point. A factor of 1 means no
     shadow."""
     closed: float = 2e-2
     """Weight of the background's mean squared transmittance in images rendered from viewpoints between the training
@@ -53,16 +53,17 @@ class RateConfig:
     mlps: float = 1e-3
     """Learning rate of the MLPs and the image encoder."""
     xyz_spacings: float = 0.6
-    """Initial learning rate of point positions, as a share of the point spacing."""
+    """Initial learning rate of point positions, as a fraction of the point spacing."""
     xyz_halving_updates: int = 60
     """Number H of updates after which the learning rate of a point's position is halved. After n updates of the point,
-    the rate has been multiplied by 1 / (1 + n / H), in addition to the exponential decay of all learning rates. With H
-    = 0, the rate is not reduced. Without this reduction, training moves points at random where no image constrains
-    them, and longer training makes novel views worse."""
+    its learning rate has been multiplied by 1 / (1 + n / H), in addition to the exponential decay of all learning
+    rates. If H is 0, there is no such reduction. Without the reduction, points that no image constrains would move at
+    random, and longer training would make novel views worse."""
     sh: float = 5e-3
     """Learning rate of explicit spherical harmonics and of the points' own colours."""
     final: float = 0.05
-    """At the end of the step or time budget, each learning rate has decayed to this share of its configured value."""
+    """Fraction of its configured value to which each learning rate has decayed at the end of the step or time
+    budget."""
     warm_up: int = 20
     """Number of steps of the linear warm-up of the learning rates."""
 
@@ -82,39 +83,42 @@ class BackgroundConfig:
     """The static background of a full scene."""
 
     points: int = 200_000
-    """Maximum number of background points. The points of the shell are not counted. The shell consists of coarse points
-    in the directions that no plate shows."""
+    """Maximum number of background points, not counting the shell. The shell consists of coarse points in the
+    directions that no clean plate (image of the empty scene) shows."""
     seeding: Literal["ngp", "sfm"] = "ngp"
-    """Source of the background points. With `ngp`, the points come from a radiance field that is fitted to the plates
-    and to stereo depths. With `sfm`, the points come only from multi-view stereo, without a radiance field."""
+    """Source of the background points: `ngp` takes them from a radiance field that is fitted to the clean plates and to
+    stereo depths, and `sfm` uses only multi-view stereo, without a radiance field."""
     seeds: Path | None = None
-    """PLY file with background points in world units. If a file is given, no points are computed from the plates."""
+    """PLY file with background points in world units. If a file is given, no points are computed from the clean
+    plates."""
     radiance: RadianceConfig = field(default_factory=RadianceConfig)
-    """Settings of the radiance field that is used with `seeding: ngp`."""
+    """Settings of the radiance field for `seeding: ngp`."""
     planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(levels=4, base_resolution=64, time=False))
     """K-Planes of the background, in contracted space."""
     joint: bool = True
-    """Render foreground and background together in steps on frames. If false, steps on frames render and train only the
-    foreground. The background is then trained only by steps on plates."""
+    """In training steps on a frame, render and train foreground and background together. If false, steps on a frame
+    render and train only the foreground, and the background is trained only in steps on clean plates."""
     share: float = 0.35
-    """Share of the training steps that use a clean plate as ground truth. The other steps use a frame."""
+    """Fraction of the training steps that use a clean plate (image of the empty scene) as ground truth. The other steps
+    use a frame."""
     window_px: int = 256
-    """Steps on clean plates render a square window of the image with this side length in pixels."""
+    """Side length, in pixels, of the square image window that a step on a clean plate renders."""
     margin_px: int = 64
-    """Steps on frames render the matte's bounding box, extended on each side by at most this number of pixels."""
+    """Steps on a frame render the matte's bounding box, extended on each side by a random margin of up to this number
+    of pixels."""
     xyz_rate: float = 0.02
-    """Learning rate of the positions of background points, as a share of the point spacing."""
+    """Learning rate of the positions of background points, as a fraction of the point spacing."""
     least_layers: int = 12
     """Minimum number K of points that are composited at each pixel of a full scene. Each step samples K between
-    `background.least_layers` and `layers`. At a grazing angle, many points of a floor overlap at each pixel. If K is
-    too small, the farthest of these points are missing in the image. Training then enlarges the discs to compensate. As
-    a result, even more points overlap at each pixel, and the image becomes blurred."""
+    `background.least_layers` and `layers`. A larger minimum prevents blur on floors that are viewed at a grazing angle,
+    where many points overlap at each pixel. If K is too small there, the farthest of these points are missing in the
+    image. Training compensates by enlarging the discs, so even more points overlap, and the image becomes blurred."""
     encoder_every: int = 8
-    """The background's image encoder is updated only in training steps that use a clean plate, and only if the step
-    number is divisible by `encoder_every`."""
+    """Update the background's image encoder only in steps on a clean plate whose step number is divisible by
+    `encoder_every`."""
     shadow: bool = False
-    """Learn the shadows and the reflected light that the foreground casts on the background in each frame. This option
-    needs a model with image-based colour."""
+    """Learn the shadows and the reflected light that the foreground casts on the background in each frame. Requires a
+    model with image-based colour."""
 
     def __post_init__(self) -> None:
         require(1 <= self.points <= MAX_POINTS, f"points: expected 1 to {MAX_POINTS}, got {self.points}")
@@ -134,16 +138,16 @@ class DensifyConfig:
     """Split and remove points during training."""
     frame_every: int = 40
     """Number of training steps on a frame between two densifications of the frame's points. Each densification also
-    removes the points that have existed for at least `frame_every` steps and have never received a gradient."""
+    removes the points that are at least `frame_every` steps old and have never received a gradient."""
     background_every: int = 250
-    """Number of steps between two densifications of the background. Each densification removes the background points
-    that are occluded in every plate."""
+    """Number of steps between two densifications of the background. Each densification also removes the background
+    points that are occluded in every clean plate whose image contains them."""
     share: float = 0.1
-    """Maximum share of the points that are split in one densification."""
+    """Maximum fraction of the points that are split in one densification."""
     growth: float = 1.25
     """Maximum number of points in a cloud, as a multiple of the cloud's initial number of points."""
     until: float = 0.6
-    """Share of the training budget after which densification ends."""
+    """Fraction of the training budget after which densification ends."""
 
     def __post_init__(self) -> None:
         require(self.frame_every >= 1, f"frame_every: expected at least 1, got {self.frame_every}")
@@ -166,21 +170,21 @@ class RefineConfig:
     rotation_deg: float = 0.5
     """Assumed standard deviation of a camera's rotation error, in degrees."""
     position: float = 0.003
-    """Assumed standard deviation of a camera's position error, as a share of the camera's distance from the scene's
+    """Assumed standard deviation of a camera's position error, as a fraction of the camera's distance from the scene's
     centre."""
     focal_spread: float = 0.002
-    """Assumed standard deviation of the focal length's error, as a share of the focal length."""
+    """Assumed standard deviation of the focal length's error, as a fraction of the focal length."""
     colour_spread: float = 0.1
     """Assumed standard deviation of each entry of a camera's colour correction."""
     band: float = 0.03
-    """Maximum distance of a matched feature from its epipolar line, as a share of the longer image side. The epipolar
-    line is computed with the given cameras, before bundle adjustment. Matches farther from their epipolar line are not
-    used."""
+    """Maximum distance of a matched feature from its epipolar line, as a fraction of the longer image side. Matches
+    that are farther away are not used. The epipolar line is computed with the given cameras, before bundle
+    adjustment."""
     weight: float = 1e-5
     """Loss weight of the sum of (correction / standard deviation)^2 over the corrections of a camera."""
     pose_rate: float = 1e-4
-    """Learning rate of pose corrections. Rotations are in radians, and translations are shares of the camera's distance
-    from the scene's centre."""
+    """Learning rate of pose corrections. Rotations are in radians, and translations are fractions of the camera's
+    distance from the scene's centre."""
     focal_rate: float = 5e-5
     """Learning rate of the logarithm of the focal length."""
     colour_rate: float = 5e-3
@@ -196,7 +200,7 @@ class RefineConfig:
 
     @property
     def cameras(self) -> bool:
-        """Whether poses or focal lengths of cameras are corrected."""
+        """True if camera poses or focal lengths are corrected."""
         return self.poses or self.focal
 
 
@@ -205,10 +209,10 @@ class SegmentConfig:
     """Segments of a long capture. A segment is a range of frames that has its own model."""
 
     frames: int | None = None
-    """Maximum number of frames of a segment. Each segment is trained with the whole step or time budget. With null, one
+    """Maximum number of frames of a segment. Each segment is trained with the whole step or time budget. If null, one
     model represents all frames."""
     overlap: int = 4
-    """Number of frames that two successive segments share. In the shared frames, the scene fades from the earlier
+    """Number of frames that two successive segments have in common. In these frames, the scene fades from the earlier
     segment to the later one."""
     warm_start: bool = False
     """Start the networks of each segment from the trained networks of the previous segment."""
@@ -230,8 +234,8 @@ class TrainConfig:
     loss: LossConfig = field(default_factory=LossConfig)
     rates: RateConfig = field(default_factory=RateConfig)
     scene: Literal["object", "full"] = "object"
-    """Part of the images to reconstruct. With `object`, only the foreground that the mattes cover is reconstructed,
-    without a background. With `full`, the whole image is reconstructed, with a static background."""
+    """Part of the images to reconstruct: `object` is only the foreground that the mattes cover, and `full` is the whole
+    image, with a static background."""
     background: BackgroundConfig = field(default_factory=BackgroundConfig)
     """Settings of the background of a full scene."""
     densify: DensifyConfig = field(default_factory=DensifyConfig)
@@ -246,55 +250,53 @@ class TrainConfig:
     """Remove protruding parts of the visual hull before the initial points are placed. The remaining hull still covers
     all mattes."""
     hull_inset: float = 0.9
-    """Distance by which the initial points are moved from the surface of the visual hull towards its inside, as a
-    multiple of the point spacing. The inset is needed because discs extend beyond their centres. Without an inset, the
-    initial silhouettes are too large, and training must first shrink them."""
+    """Distance by which the initial points are moved inwards from the surface of the visual hull, as a multiple of the
+    point spacing. Without this inset, the initial silhouettes would be too large, because each point is rendered as a
+    disc around its position, and training would first have to shrink them."""
     layers: int = 15
     """Maximum number K of points that are composited at each pixel while training."""
     least_layers: int = 8
     """Minimum number K of points that are composited at each pixel while training. Each step samples K between
-    `least_layers` and `layers`. An exported scene composites fewer layers than training does, so its surfaces must be
-    opaque after few layers. Training with a small K makes surfaces opaque after few layers. Full scenes use
-    `background.least_layers` instead of this key."""
+    `least_layers` and `layers`. Steps with a small K make surfaces opaque after few layers, which is needed because an
+    exported scene composites fewer layers than training does. Full scenes use `background.least_layers` instead of this
+    key."""
     samples: int = 2
-    """Number of samples in each pixel along rows and along columns while training, from 1 to 4. A pixel is the mean of
-    all its samples. With one sample, contours are ragged, and new views have a lower PSNR than with 2 x 2."""
+    """Number of samples per pixel along rows and along columns while training, from 1 to 4. A pixel is the mean of all
+    its samples. One sample per pixel gives ragged contours and a lower PSNR in novel views than 2 x 2 samples."""
     pixel_filter: float = 0.1
     """Weight of a neighbouring pixel in the filter of rendered images, from 0 to 0.25. When a trained or exported scene
-    is rendered, this filter replaces the several samples per pixel that training takes (see `samples`). The weights of
-    the filter are `pixel_filter`, 1 - 2 * `pixel_filter` and `pixel_filter`, along rows and along columns. With 0,
-    images are not filtered."""
+    is rendered, the filter replaces the supersampling of training (see `samples`). It is separable, with the weights
+    `pixel_filter`, 1 - 2 * `pixel_filter` and `pixel_filter` along rows and columns. If 0, images are not filtered."""
     crop: Literal["mask", "full"] = "mask"
     """Part of each image that is used for training: `mask` selects the matte's bounding box with a margin, and `full`
     selects the whole image."""
     random_background: bool = True
-    """Composite prediction and ground truth on a random colour in each step. On a black background, holes in dark
-    surfaces would not increase the loss."""
+    """Composite prediction and ground truth on a random colour in each step, because on a fixed black background, holes
+    in dark surfaces would not increase the loss."""
     encoder_every: int = 2
     """Number of steps between two updates of the image encoder. The encoder's backward pass is expensive, and the
     encoder's weights change slowly."""
     hidden_weight: float = 3e-2
-    """Minimum compositing weight of a point in the target view. In each step, points that are below this minimum at all
-    pixels are skipped. With 0, no points are skipped."""
+    """In each step, skip the points whose compositing weight does not exceed this value at any pixel of the target
+    view. If 0, no points are skipped."""
     keep_in_hull: bool = True
-    """To prevent stray points, move a point back if a step moves it out of the silhouette in the target view or in a
-    source view."""
+    """Prevent stray points: if a step moves a point out of its silhouette in the target view or in a source view, move
+    it back."""
     smoothing: float = 0.5
     """Strength of surface smoothing, which moves each point towards a plane through its neighbours. Points that are
-    closer to their plane than a quarter of the point spacing are not moved. With 0, smoothing is switched off."""
+    closer to their plane than a quarter of the point spacing are not moved. If 0, smoothing is switched off."""
     neighbour_pool: int = 5
     """Size of the pool of views from which each step samples its source views. The pool contains the views nearest to
-    the target view. If the pool is larger than the number of source views, some steps use source views that are farther
-    from the target view. Training then includes source views at wide baselines. Such baselines also occur when novel
-    views are rendered."""
+    the target view. If the pool is larger than the number of source views (`model.neighbours`), some steps use source
+    views at wide baselines, which also occur when novel views are rendered."""
     image_scale: float = 1.0
     """Scale of the images. A scale of 0.5 halves width and height."""
     views: tuple[str, ...] | None = None
-    """Names of the cameras to use. With null, all cameras are used."""
+    """Names of the cameras to use. If null, all cameras are used."""
     test_views: tuple[str, ...] = ()
-    """Names of held-out cameras. Held-out cameras are used neither for training nor as source views."""
+    """Names of held-out cameras, which are used neither for training nor as source views."""
     frames: str | None = None
-    """Frames to use, written A:B, or A:B:S to use every S-th frame. Frame B is excluded. With null, all frames are
+    """Frames to use, written A:B, or A:B:S to use every S-th frame. Frame B is excluded. If null, all frames are
     used."""
     max_steps: int | None = None
     """Stop after this many steps."""
@@ -305,12 +307,12 @@ class TrainConfig:
     checkpoint_seconds: float = 120.0
     """Seconds between checkpoints. This key is ignored if checkpoint_steps is set."""
     checkpoint_steps: int | None = None
-    """Number of steps between checkpoints. With null, checkpoint_seconds is used."""
+    """Number of steps between checkpoints. If null, checkpoint_seconds is used."""
     validation_seconds: float = 60.0
     """Seconds between validations. Validations use held-out views, or training views if no view is held out."""
     memory_mb: int = 96
-    """Size of the cache of decoded images in MiB. The cache of points has half the size of the image cache. Images and
-    points that do not fit into the caches are read again when they are needed."""
+    """Size of the cache of decoded images in MiB. The cache of points has half this size. Images and points that do not
+    fit are read again when they are needed."""
 
     def __post_init__(self) -> None:
         require(1 <= self.points <= MAX_POINTS, f"points: expected 1 to {MAX_POINTS}, got {self.points}")

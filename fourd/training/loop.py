@@ -57,7 +57,7 @@ MAX_VALIDATION_VIEWS = 4
 
 @dataclass(frozen=True)
 class TrainSummary:
-    """Result of a training: the total number of steps, the total time in seconds, and the smoothed PSNR in dB."""
+    """Result of a training run: total number of steps, total time in seconds, and smoothed PSNR in dB."""
 
     steps: int
     seconds: float
@@ -80,7 +80,7 @@ class Trainer:
 
         Args:
             run: the run folder.
-            lpips: the network of the perceptual loss; with None, SSIM replaces the perceptual loss.
+            lpips: the network of the perceptual loss; if None, SSIM replaces the perceptual loss.
             console: console that shows the progress of training.
             budget: the run's config, but with the limits max_steps and max_seconds of this call. When a run is resumed,
                 these limits may be larger than the limits in config.yaml.
@@ -120,8 +120,8 @@ class Trainer:
         """Train until the budget is spent.
 
         Ctrl-C is handled after the current training step, so that the checkpoint never contains a half-finished step. A
-        second Ctrl-C ends the training at once, without a new checkpoint. Between steps, the loop also answers the
-        requests of ``fourd serve`` to pause, to save and to stop.
+        second Ctrl-C ends training at once, without a new checkpoint. Between steps, the loop also handles requests
+        from ``fourd serve`` to pause, save or stop.
         """
         retain_freed_memory()
         log = MetricsLog(self.run.folder, resume_step=self.done) if self.group.is_first else NoLog()
@@ -171,7 +171,7 @@ class Trainer:
     def _answer(
         self, session: LiveSession | NoSession, interrupt: DeferredInterrupt, show: Callable[[str], None]
     ) -> None:
-        """Pause, continue or end the training, as requested. All ranks call this method after they have saved a
+        """Pause, continue or end training, as requested. All ranks call this method after they have saved a
         checkpoint."""
         is_paused = False
         while True:
@@ -220,8 +220,8 @@ class Trainer:
             )
 
     def _validate(self, log: MetricsLog | NoLog) -> None:
-        """Log the mean PSNR of the held-out views at the middle frame, inside the bounding boxes of the mattes. If rank
-        0 does not own the middle frame, the nearest earlier frame of rank 0 is used.
+        """Log the mean PSNR of held-out views at the middle frame, measured inside the bounding box of each matte. If
+        rank 0 does not own the middle frame, the nearest earlier frame of rank 0 is used.
 
         Training views are used if no view is held out.
         """
@@ -242,7 +242,7 @@ class Trainer:
         write_picture(path, np.asarray(cv2.cvtColor(pair, cv2.COLOR_RGB2BGR), np.uint8))
 
     def _checkpoint(self) -> None:
-        """Save the points first and the model's file last. The presence of the model's file marks the checkpoint as
+        """Save the points first and the model file last, because the presence of the model file marks the checkpoint as
         complete. Each rank saves the points of its frames, and rank 0 saves all other data."""
         if self.done == self._saved_step:
             return
@@ -270,8 +270,8 @@ class Trainer:
 
     def _save_points(self, folder: Path) -> None:
         is_first, count = self.group.is_first, self.run.capture.frame_count
-        # The folder may remain from an earlier, damaged checkpoint of the same step. It is removed if an entry is not a
-        # regular file but, for example, a named pipe or a subfolder, because atomic writing does not replace these.
+        # The folder may remain from an earlier, damaged checkpoint of the same step. Atomic writing replaces only
+        # regular files, so the folder is removed if it contains anything else, such as a named pipe or a subfolder.
         if is_first and any(path.is_symlink() or not path.is_file() for path in folder.glob("*")):
             shutil.rmtree(folder)
         self.group.barrier()
@@ -324,8 +324,8 @@ class Trainer:
         return seconds >= self.config.checkpoint_seconds
 
     def _passed(self, interval: int) -> bool:
-        """Whether the step count reached a multiple of ``interval`` in the last update. An update counts one step per
-        rank."""
+        """Return true if the step count reached a multiple of ``interval`` in the last update. An update counts as one
+        step per rank."""
         return self.done // interval > (self.done - self.group.size) // interval
 
     def _progress(self) -> Progress:

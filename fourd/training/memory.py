@@ -1,11 +1,10 @@
-"""Settings of the C library's heap. With these settings, freed memory is reused quickly, and the resident size of the
-process stays bounded. Only glibc is supported. With other C libraries, :func:`retain_freed_memory` and
-:class:`HeapTrimmer` do nothing.
+"""Settings of the C library's heap that make it reuse freed memory quickly and keep the process's resident size
+bounded. Only glibc is supported. With other C libraries, :func:`retain_freed_memory` and :class:`HeapTrimmer` do
+nothing.
 
-Images differ in size, so freed blocks do not always fit the next allocation. The heap's address space therefore grows
-for hours during training. Physical memory is occupied only by the pages that were written since the heap was last
-trimmed. Data that is kept for many steps would fragment the heap. Such data is therefore stored outside the heap, in
-separate pages.
+Images differ in size, so freed blocks do not always fit the next allocation, and the heap's address space grows for
+hours during training. It occupies physical memory only for the pages that were written since the heap was last trimmed.
+Data that is kept for many steps is stored in separate pages outside the heap, because it would fragment the heap.
 """
 
 from __future__ import annotations
@@ -23,17 +22,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 RESIDENT_BYTES = 1000 * 2**20
-"""Target for the resident size of the process, in bytes. The target can be exceeded, because memory in use cannot be
+"""Target for the resident size of the process, in bytes. The process can exceed it, because memory in use cannot be
 returned to the system."""
 
 FULL_RESIDENT_BYTES = 2 * RESIDENT_BYTES
-"""Target for the resident size of the process while a full scene is trained, in bytes. A step on a full scene uses more
-memory than a step on an object scene. With RESIDENT_BYTES, the target for object scenes, the heap would be trimmed in
-every step of a full scene."""
+"""Target for the resident size of the process while a full scene is trained, in bytes. It is larger than
+RESIDENT_BYTES, the target for object scenes, because a step on a full scene uses more memory. With the smaller target,
+the heap would be trimmed in every step."""
 
 MIN_GROWTH_BYTES = 128 * 2**20
 """Minimum growth of the resident size between two trims of the heap, in bytes. If the heap were trimmed more often,
-page faults would take most of the time of a step."""
+page faults would take most of a step's time."""
 
 _TRIM_THRESHOLD, _MMAP_MAX = -1, -4  # constants of malloc.h
 
@@ -41,8 +40,8 @@ _TRIM_THRESHOLD, _MMAP_MAX = -1, -4  # constants of malloc.h
 def retain_freed_memory() -> None:
     """Make the C library keep freed memory in the process until a :class:`HeapTrimmer` returns it to the system.
 
-    By default, the C library returns the memory of a large array to the system as soon as the array is freed. Each
-    training step would then spend time on page faults when it allocates large arrays.
+    By default, the C library returns the memory of a large array to the system as soon as the array is freed. Every
+    training step would therefore cause page faults when it allocates large arrays.
     """
     mallopt = _libc_function("mallopt")
     if mallopt is not None:
@@ -70,8 +69,8 @@ class HeapTrimmer:
     """Returns free pages of the heap to the system when the resident size is too large."""
 
     def __init__(self, resident: int = RESIDENT_BYTES, min_growth: int = MIN_GROWTH_BYTES) -> None:
-        """Set the target for the resident size to ``resident`` bytes. A heap that was trimmed is trimmed again only
-        after the resident size has grown by more than ``min_growth`` bytes."""
+        """Set the target for the resident size to ``resident`` bytes. After a trim, the heap is trimmed again only when
+        the resident size has grown by more than ``min_growth`` bytes."""
         self._malloc_trim = _libc_function("malloc_trim")
         self._resident = resident
         self._min_growth = min_growth
@@ -88,15 +87,15 @@ class HeapTrimmer:
             self.trim()
 
     def trim(self) -> None:
-        """Trim the heap unconditionally. The training loop calls this method before checkpoints and validations, which
-        need much memory."""
+        """Trim the heap unconditionally. The training loop calls this method before checkpoints and validations,
+        because they need much memory."""
         if self._malloc_trim is not None:
             self._malloc_trim(ctypes.c_size_t(0))
             self._floor = resident_bytes()
 
 
 def resident_bytes() -> int:
-    """Resident size of the process in bytes (Linux)."""
+    """Return the resident size of the process in bytes (Linux only)."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
 
 

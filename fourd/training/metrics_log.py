@@ -1,4 +1,4 @@
-"""Log of a run's measurements: metrics.jsonl, which is easy to parse, and TensorBoard events."""
+"""Log a run's measurements to metrics.jsonl, which is easy to parse, and to TensorBoard events."""
 
 from __future__ import annotations
 
@@ -37,19 +37,18 @@ class MetricsLog:
     """A context manager that appends to ``metrics.jsonl`` and to TensorBoard events in a run folder."""
 
     def __init__(self, folder: Path, resume_step: int = 0) -> None:
-        """Open the log of a run and remove the records that were written after the step from which the run resumes.
+        """Open the log of a run, and remove the records of steps after the one from which the run resumes.
 
         Args:
             folder: the run's folder; created if missing.
-            resume_step: number of completed steps of the checkpoint from which the run resumes. Records of steps after
-                ``resume_step`` are removed. Incomplete lines that a killed process has left are also removed.
-                TensorBoard hides the events of steps after ``resume_step`` that were written before the run was
-                resumed.
+            resume_step: number of completed steps of the checkpoint from which the run resumes. Records of later steps
+                are removed, as are incomplete lines left by a killed process. TensorBoard events of later steps remain
+                in their file, but TensorBoard does not show them.
 
         Raises:
             UserError: the folder is not writable.
         """
-        # Importing TensorBoard takes about a second. TensorBoard is therefore imported only when a log is opened.
+        # Importing TensorBoard takes about a second, so it is imported only when a log is opened.
         from torch.utils.tensorboard import SummaryWriter
 
         self._folder = folder
@@ -102,8 +101,8 @@ class MetricsLog:
         self.close()
 
     def _ignore_disk_errors(self, arguments: threading.ExceptHookArgs) -> None:
-        """Print no traceback if TensorBoard's background thread cannot write. The error is not lost, because the next
-        call of TensorBoard raises it again."""
+        """Suppress the traceback if TensorBoard's background thread cannot write. The error is not lost, because the
+        next TensorBoard call raises it again."""
         if not (arguments.exc_type is not None and issubclass(arguments.exc_type, OSError | MemoryError)):
             self._hook(arguments)
 
@@ -130,7 +129,7 @@ def _truncate(path: Path, last_step: int) -> None:
 
 
 def _step_of(line: bytes) -> float:
-    """The step of the record in a line, or infinity if the line is not a record."""
+    """Return the step of the record in a line, or infinity if the line is not a record."""
     try:
         record = json.loads(line)
     except (ValueError, RecursionError):

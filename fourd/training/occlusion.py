@@ -1,4 +1,4 @@
-"""Depth maps of points, used to test whether a point is occluded in a source view."""
+"""Render depth maps of points, to test whether a point is occluded in a source view."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ class SizedPoints(Protocol):
 
 
 def surface_depth(points: SizedPoints, camera: Camera) -> Tensor:
-    """Depth (H, W) in world units of the nearest surface. The depth is infinite where alpha is at most 0.5."""
+    """Render the depth (H, W) of the nearest surface in world units. It is infinite where alpha is at most 0.5."""
     if points.xyz.device.type == "cpu":
-        # NumPy is faster here: after an operation of torch, the threads of torch wait actively for the next operation,
-        # and slow down the threads of the renderer.
+        # NumPy is faster here: after a torch operation, torch's threads busy-wait for the next one and slow down the
+        # renderer's threads.
         ones = np.ones((points.xyz.shape[0], 1), np.float32)
         arrays = (points.xyz.numpy(), ones, points.radius.numpy(), points.density.numpy())
         _, alpha, depth = render_points_numpy(*arrays, camera, layers=SURFACE_LAYERS, near=NEAR)
@@ -50,12 +50,12 @@ def surface_depth(points: SizedPoints, camera: Camera) -> Tensor:
 
 
 def occlusion_depth(points: SizedPoints, camera: Camera) -> Tensor:
-    """Depth (H, W) behind which points are occluded: the surface depth, dilated by the typical size of a point.
+    """Compute the depth (H, W) behind which points are occluded: the surface depth, dilated by the typical point size.
 
-    For the surface depth, points are rendered as discs that face the camera. On a floor viewed at a grazing angle, each
-    disc covers the discs behind it. Without dilation, half of the visible points of the floor would therefore be
+    Dilation is needed because the surface depth is rendered from discs that face the camera: on a floor viewed at a
+    grazing angle, each disc covers the discs behind it. Without dilation, half of the floor's visible points would be
     treated as occluded. The dilation assigns to each pixel the farthest surface depth within the median disc radius
-    around the pixel.
+    around it.
     """
     pixels, depth = camera.project(points.xyz.cpu().double().numpy())
     inside = camera.is_in_image(pixels, depth) & (depth > NEAR)
@@ -69,7 +69,8 @@ def occlusion_depth(points: SizedPoints, camera: Camera) -> Tensor:
 
 
 def _maximum_filter(image: Tensor, reach: int) -> Tensor:
-    """The maximum of ``image`` (H, W) in the square of ``2 * reach + 1`` pixels around each pixel."""
+    """Return, for each pixel, the maximum of ``image`` (H, W) in a square of side ``2 * reach + 1`` around the
+    pixel."""
     if image.device.type == "cpu":
         return torch.from_numpy(maximum_filter(image.numpy(), 2 * reach + 1))
     rows = functional.max_pool2d(image[None], (2 * reach + 1, 1), stride=1, padding=(reach, 0))

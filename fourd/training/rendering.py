@@ -1,5 +1,5 @@
-"""Compositing of points with the radii, densities and colours that the model computes, and selection of the points that
-are visible in a view."""
+"""Composite points with the radii, densities and colours that the model computes, and select the points that are
+visible in a view."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from fourd.training.points.frame_points import FramePoints
 NEAR = 0.01
 """Depth of the near plane in world units."""
 COUNT_STEP = 1024
-"""The number of visible points is rounded up to a multiple of this number. Tensors then have only a few different
-sizes, and fit into memory that earlier steps have freed."""
+"""The number of visible points is rounded up to a multiple of this number, so that tensors have few different sizes and
+fit into memory that earlier steps have freed."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class RenderablePoints:
 
 
 def concatenate(clouds: Sequence[RenderablePoints]) -> RenderablePoints:
-    """Join clouds to one cloud, in the given order."""
+    """Concatenate clouds into one cloud, in the given order."""
     names = ("xyz", "radius", "density", "colour")
     return RenderablePoints(*(torch.cat([getattr(cloud, name) for cloud in clouds]) for name in names))
 
@@ -54,8 +54,8 @@ def composite(
 ) -> PointRender:
     """Render all clouds together, so that they occlude each other.
 
-    The result has features (H, W, 4): the first three channels are the colour. The last channel is the contribution of
-    the first cloud to alpha.
+    The result has features (H, W, 4): the first three channels are the colour, and the last is the contribution of the
+    first cloud to alpha.
     """
     ones, zeros = torch.ones_like, torch.zeros_like
     is_first = [ones(cloud.radius) if k == 0 else zeros(cloud.radius) for k, cloud in enumerate(clouds)]
@@ -90,11 +90,11 @@ def composite_samples(
 
 
 def visible_points(clouds: Sequence[FramePoints], viewer: Camera, layers: int, min_weight: float) -> list[Tensor]:
-    """For each cloud, the indices of its visible points. A point is visible if its compositing weight exceeds
-    ``min_weight`` in at least one pixel of the view. As in :func:`select_heaviest`, the number of returned indices is
-    rounded up to a multiple of COUNT_STEP.
+    """Return the indices of the visible points of each cloud. A point is visible if its compositing weight exceeds
+    ``min_weight`` at one or more pixels of the view. As in :func:`select_heaviest`, the number of indices is rounded up
+    to a multiple of COUNT_STEP.
 
-    Occlusion between the clouds is taken into account. If ``min_weight`` is 0, all points are visible.
+    Clouds occlude each other. If ``min_weight`` is 0, all points are returned.
     """
     if min_weight == 0:
         return [torch.arange(cloud.xyz.shape[0], device=cloud.xyz.device) for cloud in clouds]
@@ -111,9 +111,9 @@ def visible_points(clouds: Sequence[FramePoints], viewer: Camera, layers: int, m
 
 
 def select_heaviest(weight: Tensor, min_weight: float) -> Tensor:
-    """Ascending indices of the weights (N,) that exceed ``min_weight``.
+    """Return the ascending indices of the weights (N,) that exceed ``min_weight``.
 
-    The indices of the largest remaining weights are added until the number of indices is a multiple of COUNT_STEP.
+    The indices of the largest other weights are added until the number of indices is a multiple of COUNT_STEP.
     """
     count = int((weight > min_weight).sum())
     rounded = min(weight.shape[0], -(-count // COUNT_STEP) * COUNT_STEP)

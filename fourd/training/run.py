@@ -67,14 +67,13 @@ class SceneConfig:
     spacing: float = 0.01
     """Mean distance between neighbouring points."""
     first_frame: int = 0
-    """Index of the frame at time 0, counted in the frames of the capture. For a segment, this is the segment's first
-    frame; otherwise, the index is 0."""
+    """Index in the capture of the frame at time 0: the first frame of a segment, or 0 for a run without segments."""
     frame_count: int = 1
-    """Number of frames from time 0 to time 1. For a segment, this is the number of the segment's frames; otherwise, it
-    is the number of all frames of the capture."""
+    """Number of frames from time 0 to time 1: the frames of a segment, or all frames of the capture for a run without
+    segments."""
     reach: float = 1.0
-    """Distance from the centre of the bounds to the farthest camera. Within this distance of the centre, the
-    contraction does not distort space."""
+    """Distance from the centre of the bounds to the farthest camera. Up to this distance from the centre, the
+    contraction of space for the background's K-Planes causes no distortion."""
 
 
 @dataclass(frozen=True)
@@ -113,14 +112,14 @@ class Run:
 
     @property
     def focus(self) -> NDArray[np.float64]:
-        """(3,) centre of the bounds, in world units. Angles between cameras are measured at this point. The cameras
-        nearest to a view are the cameras with the smallest angles to the viewing camera."""
+        """(3,) centre of the bounds, in world units. The cameras nearest to a view are those with the smallest angles
+        to the viewing camera, measured at this point."""
         return (np.asarray(self.config.scene.lower) + np.asarray(self.config.scene.upper)) / 2
 
     @property
     def has_segments(self) -> bool:
-        """Whether the run is divided into segments. If true, each segment's folder contains a model, and the run's own
-        folder contains none."""
+        """True if the run is divided into segments. In this case, each segment's folder contains a model, and the run's
+        own folder contains none."""
         return self.config.train.segments.frames is not None
 
     @property
@@ -147,12 +146,12 @@ class Run:
         return Refinement(refine, self.capture.cameras, self.training, self.focus)
 
     def contraction(self) -> Contraction:
-        """The contraction that maps unbounded space into the volume of the background's K-Planes."""
+        """Create the contraction that maps unbounded space into the volume of the background's K-Planes."""
         x, y, z = (float(value) for value in self.focus)
         return Contraction((x, y, z), self.config.scene.reach)
 
     def background(self, saved: Path | None) -> StaticBackground | None:
-        """The background of a full scene, or None for an object scene.
+        """Create the background of a full scene, or return None for an object scene.
 
         The background's points are read from the checkpoint folder ``saved``. If ``saved`` is None, initial points are
         used.
@@ -171,18 +170,18 @@ class Run:
         return background
 
     def view_store(self, device: torch.device = CPU) -> ViewStore:
-        """The store of training images for training on ``device``.
+        """Open the store of images for training on ``device``.
 
-        On a GPU, a step takes less time than decoding an image. The size of the cache is therefore an eighth of the
-        GPU's free memory, but at least the config's cache size. The cache itself is in the memory of the CPU, which is
-        rarely smaller than the memory of the GPU.
+        For training on a GPU, the cache size is an eighth of the free GPU memory, but at least the size in the config.
+        A large cache is needed because decoding an image takes longer than a step on a GPU. The cached images are in
+        CPU memory; GPU memory serves as the measure because it is rarely larger than CPU memory.
         """
         train = self.config.train
         cache_mb = train.memory_mb if device.type != "cuda" else max(train.memory_mb, _free_gpu_mb(device) // 8)
         return ViewStore(self.capture, train.crop == "mask", cache_mb, device)
 
     def frame_store(self, saved: Path | None, device: torch.device = CPU) -> FrameStore:
-        """The store of the points of every frame, which returns points on ``device``.
+        """Open the store of all frames' points, which returns points on ``device``.
 
         The points are read from the checkpoint folder ``saved``. If ``saved`` is None, initial points are used.
         """
@@ -191,7 +190,7 @@ class Run:
         return FrameStore(scratch, self.capture.frame_count, self.initial_points, budget_mb, saved, device)
 
     def initial_points(self, frame: int) -> FramePoints:
-        """The initial points of a frame in Morton order. The number of points is at most ``config.train.points``."""
+        """Read at most ``config.train.points`` initial points of a frame, in Morton order."""
         train = self.config.train
         number = self.capture.frame_numbers[frame]
         cloud = read_ply(self.folder / HULL / f"{number:06d}.ply")
@@ -250,7 +249,7 @@ def open_run(folder: Path) -> Run:
 
 
 def load_run(folder: Path) -> TrainedRun:
-    """Open a run and load its newest intact checkpoint, for evaluation, rendering and export."""
+    """Open a run and load its newest intact checkpoint, for evaluation, rendering or export."""
     run = open_run(folder)
     if run.has_segments:
         raise UserError(
@@ -294,13 +293,13 @@ def _free_gpu_mb(device: torch.device) -> int:
 def read_run_plates(
     capture: Capture, training: Sequence[int], folder: Path, log: Log = lambda line: None
 ) -> tuple[PlateView, ...]:
-    """The clean plates of the training views. Plates in the run folder ``folder`` replace the plates of the capture."""
+    """Read the clean plates of the training views. Plates in the run folder ``folder`` replace those of the capture."""
     made = folder / BACKGROUND / PLATES
     return read_plates(capture, training, log, made=made if made.exists() else None)
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove the files that killed processes left unfinished in a run. The caller must hold the lock on the run.
+    """Remove the unfinished files that killed processes left in a run. The caller must hold the lock on the run.
 
     Scratch folders are not removed, because running processes may use them; see :class:`Scratch`.
     """
@@ -310,7 +309,7 @@ def remove_leftovers(folder: Path) -> None:
 
 
 def drop_stale_points(checkpoints: Path) -> None:
-    """Remove point folders whose checkpoint file was deleted or was never completed."""
+    """Remove points folders whose checkpoint file was deleted or never completed."""
     for folder in checkpoints.glob("*.points"):
         if not folder.with_suffix(".safetensors").exists():
             shutil.rmtree(folder)

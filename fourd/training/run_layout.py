@@ -11,9 +11,9 @@ from pathlib import Path
 
 CONFIG_NAME = "config.yaml"
 HULL = "hull"
-"""Folder with the file bounds.json, and for each frame a file FRAME.ply with the frame's initial points."""
+"""Folder with the file bounds.json and, for each frame, a file FRAME.ply with the frame's initial points."""
 BACKGROUND = "background"
-"""Folder with the initial background points of a full scene, and with the plates that the run computed."""
+"""Folder with the initial background points of a full scene and the clean plates that the run computed."""
 POINTS = "points.ply"
 PLATES = "plates"
 CALIBRATION = "calibration"
@@ -25,38 +25,37 @@ VALIDATION = "validation"
 SOURCE = "source"
 """Folder with the copy of a capture that was given as a URL."""
 LIVE = "live"
-"""Folder with the state of a training and the last request to the training, see :mod:`fourd.training.live`."""
+"""Folder with the state of a training run and the last request to it; see :mod:`fourd.training.live`."""
 SEGMENTS = "segments"
-"""Folder with one run per segment. The runs are named 000, 001 and so on. Runs without segments do not have this
-folder."""
+"""Folder with one run per segment, named 000, 001 and so on. Runs without segments do not have this folder."""
 PREPARATION = (HULL, BACKGROUND, CALIBRATION, SOURCE)
-"""Subfolders that are written before training. These subfolders can exist before ``config.yaml`` is written. A folder
-is a run only if it contains ``config.yaml``."""
+"""Subfolders that are written before training. They can exist before ``config.yaml``, but only a folder with
+``config.yaml`` is a run."""
 
 
 def checkpoint_files(folder: Path) -> list[Path]:
-    """Checkpoint files in the folder ``checkpoints/``, in the order of their steps. Temporary files, whose names start
-    with a dot, are not included."""
+    """List the checkpoint files in ``folder``, in the order of their steps. Temporary files, whose names start with a
+    dot, are not included."""
     named = [path for path in folder.glob("*.safetensors") if path.stem.isdecimal()]
     return sorted(named, key=lambda path: int(path.stem))
 
 
 def points_folder(checkpoint: Path) -> Path:
-    """Path of the folder that contains the points of a checkpoint."""
+    """Return the path of the folder that contains the points of a checkpoint."""
     return checkpoint.with_suffix(".points")
 
 
 def segment_folder(run: Path, index: int) -> Path:
-    """Path of the run folder of a segment."""
+    """Return the path of a segment's run folder."""
     return run / SEGMENTS / f"{index:03d}"
 
 
 def segment_folders(run: Path) -> list[Path]:
-    """The run folders of those segments that exist, in the order of their frames."""
+    """List the existing run folders of segments, in the order of their frames."""
     named = [path for path in (run / SEGMENTS).glob("*") if path.name.isdecimal()]
     return sorted(named, key=lambda path: int(path.name))
 
 
 def newest_checkpoint(run: Path) -> str:
-    """File name of the newest checkpoint of a run, or an empty string if there is none."""
+    """Return the file name of a run's newest checkpoint, or an empty string if there is none."""
     return max((path.name for path in checkpoint_files(run / CHECKPOINTS)), default="")

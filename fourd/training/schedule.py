@@ -1,4 +1,4 @@
-"""Random choice of each step's frame and views, and the schedule of the learning rates over the budget."""
+"""Choose each step's frame and views at random, and schedule the learning rates over the budget."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class StepSample:
         frame: index of the frame in the selected frames.
         target: index of the target camera.
         sources: indices of the source cameras.
-        source_weights: (V,) float32 view weights of the source cameras.
+        source_weights: (V,) float32 view weights, which multiply the blend weights of the source cameras.
         background_colour: (3,) float32 RGB on which prediction and ground truth are composited.
         layers: maximum number K of points that are composited at each pixel.
         is_plate: whether the target is the camera's clean plate instead of the camera's image of the frame.
@@ -40,8 +40,8 @@ class StepSample:
 
 
 class StepSampler:
-    """Determines the sample of each step. The sample depends only on the seed and the step's number, and the sampler
-    stores no state between steps. A resumed run therefore has the same samples as an uninterrupted run.
+    """Determines the sample of each step from only the seed and the step's number. Because the sampler stores no state
+    between steps, a resumed run has the same samples as an uninterrupted run.
     """
 
     def __init__(
@@ -65,12 +65,11 @@ class StepSampler:
         }
 
     def sample(self, step: int) -> StepSample:
-        """The sample of the training step that this rank performs. With W ranks, W successive steps are performed at
-        the same time, one by each rank. ``step`` is the number of the first of these W steps.
+        """Determine the sample of the training step that this rank performs. W ranks perform W successive steps in
+        parallel, and ``step`` is the number of the first of them.
 
-        Let F be the number of frames that the rank owns, and V the number of training views. The steps of a rank are
-        divided into epochs of F * V steps. In each epoch, the rank samples every view of each of its frames exactly
-        once.
+        Let F be the number of frames that the rank owns, and V the number of training views. In each epoch of F * V
+        steps, the rank samples every view of each of its frames exactly once.
         """
         views, group = len(self._training), self._group
         count = len(self._frames) * views
@@ -94,7 +93,8 @@ class StepSampler:
         return replace(sample, is_plate=is_plate, position=(rng.random(), rng.random(), rng.random()))
 
     def _source_weights(self, target: int, sources: list[int]) -> NDArray[np.float32]:
-        """View weights of the cameras ``sources`` for the camera ``target``, which is not one of the sources."""
+        """Compute the view weights of the cameras ``sources`` for the camera ``target``, which is not one of the
+        sources."""
         if not self._config.model.fade_views:
             return np.ones(len(sources), np.float32)
         others = [camera for camera in self._training if camera != target]
@@ -105,15 +105,15 @@ class StepSampler:
 def source_pool(
     cameras: tuple[Camera, ...], target: int, training: list[int], count: int, focus: np.ndarray
 ) -> list[int]:
-    """Indices of the ``count`` other training cameras that are nearest to the target camera."""
+    """Return the indices of the ``count`` training cameras nearest to the target camera, which is itself excluded."""
     others = [camera for camera in training if camera != target]
     nearest = nearest_views(cameras[target], [cameras[camera] for camera in others], count, focus)
     return [others[i] for i in nearest]
 
 
 def budget_spent(config: TrainConfig, step: int, seconds: float) -> float:
-    """Spent share of the training budget, in [0, 1]. If steps and time are both limited, the result is the larger of
-    the two shares."""
+    """Compute the fraction of the training budget that is spent, in [0, 1]. If both steps and time are limited, it is
+    the larger of the two fractions."""
     shares = [0.0]
     if config.max_steps is not None:
         shares.append(step / config.max_steps)
@@ -123,7 +123,6 @@ def budget_spent(config: TrainConfig, step: int, seconds: float) -> float:
 
 
 def rate_factor(rates: RateConfig, step: int, spent: float) -> float:
-    """Factor by which all learning rates are multiplied: a linear warm-up, times an exponential decay to
-    ``rates.final``."""
+    """Compute the factor of all learning rates: a linear warm-up times an exponential decay to ``rates.final``."""
     warm = min(1.0, (step + 1) / max(1, rates.warm_up))
     return float(warm * rates.final**spent)

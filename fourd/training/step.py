@@ -77,11 +77,10 @@ class Stepper:
             time: time of the frame, in [0, 1].
             sample: the frame and views to render.
             rate_factor: factor from the schedule that multiplies all learning rates.
-            number: number of the update, for schedules and error messages. With W ranks, one update consists of W
-                steps.
+            number: number of the update, for schedules and error messages. One update consists of one step per rank.
 
         Raises:
-            UserError: a loss term is not finite. If this error is raised, models and points are unchanged.
+            UserError: a loss term is not finite. Models and points are unchanged in this case.
         """
         target = self.scene.target(sample)
         evaluated = self.scene.evaluate_step(points, time, sample, target.camera, number)
@@ -118,8 +117,8 @@ class Stepper:
     def _render(
         self, evaluated: Sequence[OptimizedPoints], target: Target, time: float, sample: StepSample, number: int
     ) -> tuple[Tensor, RenderedStep]:
-        """Render the points. Return the rendered colours (H, W, 3) without the background colour, and the record from
-        which the loss terms are computed."""
+        """Render the points. Returns the rendered colours (H, W, 3) without the background colour, and the data for the
+        loss terms."""
         clouds = [each.renderable for each in evaluated]
         if self.refinement is not None:
             clouds = self.refinement.attach_camera_gradient(clouds, sample.target)
@@ -161,7 +160,7 @@ class Stepper:
 
 
 def _silhouettes(camera: Camera, matte: Tensor, points: OptimizedPoints) -> list[tuple[tuple[Camera, ...], Tensor]]:
-    """Cameras and mattes of the step's target view, and of its source views."""
+    """Return the cameras and mattes of the step's target view and of its source views."""
     target = ((camera,), matte[None])
     return [target] if points.sources is None else [target, (points.sources.cameras, points.sources.mattes)]
 

@@ -21,7 +21,7 @@ from fourd.training.memory import array_outside_heap
 CROP_MARGIN_PX = 16
 SIZE_STEP_PX = 32
 """The width and the height of crops are rounded up to a multiple of this number of pixels, so that crops have few
-different sizes. Convolutions are set up only once for each size, and a new crop fits into the memory that an older crop
+different sizes. Convolutions are therefore set up only a few times, and a new crop fits into memory that an older crop
 has freed.
 """
 EMPTY_CROP_PX = 16
@@ -30,7 +30,7 @@ EMPTY_CROP_PX = 16
 
 @dataclass(frozen=True)
 class View:
-    """The image of one camera and frame, or a crop of this image.
+    """One camera's image of one frame, or a crop of it.
 
     Attributes:
         rgb: (H, W, 3) uint8 colours.
@@ -62,8 +62,8 @@ class ViewStore:
     Attributes:
         capture: the selected views and frames.
         rig: the current cameras. To change the cameras of all views, assign another rig.
-        device: device on which the scene is trained, and of the tensors that :meth:`sources` returns. Cached images
-            stay in the memory of the CPU.
+        device: device on which the scene is trained and on which :meth:`sources` returns its tensors. Cached images
+            stay in CPU memory.
     """
 
     def __init__(self, capture: Capture, crop: bool, memory_mb: int, device: torch.device = CPU) -> None:
@@ -79,17 +79,18 @@ class ViewStore:
         )
 
     def view(self, camera: int, frame: int) -> View:
-        """The view of a camera at a frame. ``camera`` is an index into the selected cameras, and ``frame`` is an index
-        into the selected frames."""
+        """Return a camera's view of a frame. ``camera`` and ``frame`` are indices into the selected cameras and
+        frames."""
         key = (camera, frame)
         if key not in self._cache:
             self._cache[key] = self._decode(camera, frame, None)
         return self._with_current_camera(self._cache[key], camera)
 
     def widened(self, camera: int, frame: int, margin_px: int) -> View:
-        """A view extended by up to ``margin_px`` pixels on each side. The extended view is not cached.
+        """Return a view extended by up to ``margin_px`` pixels on each side.
 
-        The margin is rounded down to a multiple of SIZE_STEP_PX / 2. The extended view is clipped to the image.
+        The margin is rounded down to a multiple of SIZE_STEP_PX / 2. The extended view is clipped to the image and is
+        not cached.
         """
         view, whole = self.view(camera, frame), self.capture.cameras[camera]
         margin_px -= margin_px % (SIZE_STEP_PX // 2)
@@ -101,7 +102,7 @@ class ViewStore:
         return self._with_current_camera(self._decode(camera, frame, window), camera)
 
     def sources(self, cameras: list[int], frame: int) -> SourceViews:
-        """The views of several cameras, padded to a common size that is a multiple of SIZE_STEP_PX."""
+        """Return the views of several cameras, padded to a common size that is a multiple of SIZE_STEP_PX."""
         views = [self.view(camera, frame) for camera in cameras]
         height = _round_up(max(view.rgb.shape[0] for view in views))
         width = _round_up(max(view.rgb.shape[1] for view in views))
@@ -136,8 +137,8 @@ class ViewStore:
 
 
 def _matte_window(matte: NDArray[np.uint8]) -> tuple[int, int, int, int]:
-    """(left, top, width, height) of the matte's bounding box with a margin. For an empty matte, the window is a square
-    of EMPTY_CROP_PX at the top left of the image."""
+    """Return (left, top, width, height) of the matte's bounding box with a margin. For an empty matte, the window is a
+    square with sides of EMPTY_CROP_PX at the top left of the image."""
     height, width = matte.shape
     left, top, box_width, box_height = cv2.boundingRect(matte)
     if box_width == 0:
@@ -148,8 +149,8 @@ def _matte_window(matte: NDArray[np.uint8]) -> tuple[int, int, int, int]:
 
 
 def _widen(start: int, length: int, size: int) -> tuple[int, int]:
-    """Extend a pixel range by the crop margin on both sides, and return its start and length. The extended length is a
-    multiple of SIZE_STEP_PX, but at most ``size``."""
+    """Extend a pixel range by the crop margin on both sides, and return its start and length. The length is rounded up
+    to a multiple of SIZE_STEP_PX, but is at most ``size``."""
     wanted = min(size, _round_up(length + 2 * CROP_MARGIN_PX))
     return max(0, min(size - wanted, start - (wanted - length) // 2)), wanted
 

@@ -1,4 +1,4 @@
-"""Parameters that Adam updates, with one row per triangle or per vertex. Rows can be removed and added."""
+"""Parameters that Adam updates, with one row per triangle or vertex. Rows can be removed and added."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ _NAME = "value"
 
 
 class AdamRows:
-    """A parameter with T rows, and its state in the optimizer.
+    """A parameter with T rows, and its optimizer state.
 
     Attributes:
         value: (T, ...) float32 leaf tensor that requires a gradient.
     """
 
     def __init__(self, value: Tensor, rate: float) -> None:
-        """Start with the values ``value`` (T, ...). ``rate`` is the learning rate."""
+        """Start with the initial values ``value`` (T, ...) and the learning rate ``rate``."""
         self.value = value.detach().clone().requires_grad_()
         self._rate = rate
         self._adam = SelectiveAdam.initial({_NAME: _as_rows(value)}, BETAS)
 
     @torch.no_grad()
     def step(self, gradient: Tensor, factor: float = 1.0) -> None:
-        """Update all rows by one step of Adam. ``factor`` multiplies the learning rate."""
+        """Update all rows with one Adam step, whose learning rate is multiplied by ``factor``."""
         parameters, gradients = {_NAME: _as_rows(self.value.detach())}, {_NAME: _as_rows(gradient)}
         self._adam.step(parameters, slice(None), gradients, {_NAME: self._rate * factor})
 
     @torch.no_grad()
     def replace(self, kept: Tensor, added: Tensor) -> None:
-        """Keep the rows ``kept`` (int64 indices), and append the rows ``added`` with Adam moments of 0."""
+        """Keep the rows with the int64 indices ``kept``, and append the rows ``added`` with Adam moments of 0."""
         self.value = torch.cat([self.value[kept], added]).requires_grad_()
         self._adam.keep_rows(kept, len(added))
 

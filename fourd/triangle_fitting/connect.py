@@ -1,5 +1,5 @@
-"""Joins separate triangles into a closed mesh. The mesh is the zero level set of a signed distance function, which is
-computed from the planes of the triangles."""
+"""Joins separate triangles into a closed mesh: the zero level set of a signed distance function, which is computed from
+the triangles' planes."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from fourd.raster.triangles import rasterize
 from fourd.triangle_fitting.neighbours import unit_normals
 
 NEAREST = 12
-"""Number of nearest triangles from which the signed distance of a point is computed."""
+"""Number of nearest triangles from which a point's signed distance is computed."""
 SMOOTHING_CELLS = 1.0
-"""Standard deviation of the Gaussian weights of the triangles, as a multiple of the side of a grid cube."""
+"""Standard deviation of the triangles' Gaussian weights, in units of the cube side."""
 LEAST_SHARE = 1e-3
-"""Signed distances that are closer to 0 than this value are replaced by this value. The unit is the side of a grid
-cube. Distances of 0 would produce triangles without area."""
+"""Signed distances closer to 0 than this value, in units of the cube side, are replaced by it, because distances of 0
+would produce triangles without area."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class OrientedPoints:
     Attributes:
         xyz: (N, 3) float64 centres in world units.
         normals: (N, 3) float64 unit normals. Each normal points to the side of the triangle that more pixels show.
-        weights: (N,) float64 number of pixels that show the triangle, summed over all views. All weights are above 0.
+        weights: (N,) float64 number of pixels that show the triangle, summed over all views, always positive.
     """
 
     xyz: Array
@@ -51,8 +51,8 @@ class OrientedPoints:
 
 @torch.no_grad()
 def visible_points(corners: Tensor, cameras: Sequence[Camera]) -> OrientedPoints:
-    """Centres and normals of the visible triangles. ``corners`` (T, 3, 3) are the vertices of all triangles in world
-    units. All triangles are drawn opaque, and a triangle is visible if at least one view shows it."""
+    """Return the centres and normals of the visible triangles. ``corners`` (T, 3, 3) are the vertices of all triangles
+    in world units. All triangles are drawn opaque, and a triangle is visible if at least one view shows it."""
     count = len(corners)
     xyz, tri = corners.reshape(-1, 3), torch.arange(3 * count, dtype=torch.int32).reshape(count, 3)
     centres, normals = corners.mean(dim=1), unit_normals(corners)
@@ -73,10 +73,9 @@ def visible_points(corners: Tensor, cameras: Sequence[Camera]) -> OrientedPoints
 def connect_triangles(points: OrientedPoints, hull: Silhouettes, side: float) -> tuple[Tensor, Tensor]:
     """Make one closed mesh from oriented points.
 
-    The mesh is the surface where a signed distance, positive inside, is 0. :func:`plane_distance` computes the signed
-    distance of each grid vertex from the planes of the nearest triangles. Hoppe et al. 1992 use only one plane for each
-    vertex. The signed distance is limited to at most the signed distance to the visual hull. The mesh therefore stays
-    inside the hull.
+    The mesh is the surface where a signed distance, positive inside, is 0. :func:`plane_distance` computes it at each
+    grid vertex from the planes of the nearest triangles, whereas Hoppe et al. 1992 use only one plane per vertex. Where
+    the signed distance to the visual hull is smaller, it is used instead, which keeps the mesh inside the hull.
 
     Args:
         points: oriented points, at least one.
@@ -84,15 +83,15 @@ def connect_triangles(points: OrientedPoints, hull: Silhouettes, side: float) ->
         side: side length of the grid's cubes in world units.
 
     Returns:
-        vertices (V, 3) float32 and triangles (M, 3) int32, counter-clockwise seen from outside. If there is no surface,
-        there are no triangles.
+        vertices (V, 3) float32 and triangles (M, 3) int32, counter-clockwise seen from outside; no triangles if there
+        is no surface.
     """
     cubes, first = surface_band(points.xyz - hull.origin, (points.xyz - hull.origin)[0], side)
     placed = cube_grid(cubes, first, side)
     local = placed.xyz.numpy().astype(np.float64)
     distance = plane_distance(points, local + hull.origin, side)
     to_hull = hull.distance(np.ascontiguousarray(local.T.astype(np.float32)))[0]
-    # The distance to the hull is -inf at points that too few views see. The lower limit keeps the distance finite.
+    # The distance to the hull is clamped, because it is -inf at points that too few views see.
     distance = np.minimum(distance, to_hull.clip(-side, None))
     least = LEAST_SHARE * side
     sdf = torch.from_numpy(np.where(np.abs(distance) < least, least, distance).astype(np.float32))
@@ -105,14 +104,14 @@ def connect_triangles(points: OrientedPoints, hull: Silhouettes, side: float) ->
 
 
 def plane_distance(points: OrientedPoints, xyz: Array, side: float) -> NDArray[np.float64]:
-    """Weighted mean (N,) of the signed distances, positive inside, of ``xyz`` (N, 3) to the planes of the NEAREST
-    nearest points. The weight of a point in the mean is the product of its weight in ``points`` and a Gaussian of its
-    distance to the position in ``xyz``."""
+    """For each position of ``xyz`` (N, 3), return the weighted mean (N,) of its signed distances, positive inside, to
+    the planes of the NEAREST nearest points. A point's weight is its weight in ``points`` times a Gaussian of its
+    distance to the position."""
     tree = cKDTree(points.xyz)
     away, index = tree.query(xyz, k=min(NEAREST, len(points.xyz)))
     away, index = np.asarray(away).reshape(len(xyz), -1), np.asarray(index).reshape(len(xyz), -1)
-    # The weights are divided by the weight of the nearest point. Otherwise, all weights would underflow to 0 far from
-    # the surface.
+    # The Gaussians are divided by that of the nearest point, because far from the surface they would all underflow to
+    # 0.
     weight = np.exp(-(away**2 - away[:, :1] ** 2) / (2 * (SMOOTHING_CELLS * side) ** 2)) * points.weights[index]
     height = ((points.xyz[index] - xyz[:, None]) * points.normals[index]).sum(axis=2)
     return np.asarray((weight * height).sum(axis=1) / weight.sum(axis=1))
@@ -121,7 +120,7 @@ def plane_distance(points: OrientedPoints, xyz: Array, side: float) -> NDArray[n
 def close_holes(
     xyz: NDArray[np.float32], triangles: NDArray[np.integer]
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Close the holes of an oriented mesh: each edge of a hole forms a triangle with the mean of the hole's vertices.
+    """Close the holes of an oriented mesh by joining each edge of a hole to the mean of the hole's vertices.
 
     Holes occur where a surface crosses the border of the grid.
     """
@@ -135,8 +134,8 @@ def close_holes(
     graph = coo_array((np.ones(len(start), np.bool_), (start, end)), shape=(count, count))
     label = connected_components(graph, directed=False)[1][start]
     hole = np.unique(label, return_inverse=True)[1]
-    # At each vertex of a hole, the number of open edges that start there equals the number that end there. The mean
-    # over the starts of all open edges therefore includes every vertex of the hole.
+    # At each vertex of a hole, equally many open edges start and end, so the mean over the starts of all open edges
+    # includes every vertex.
     number = np.bincount(hole)
     centres = np.stack([np.bincount(hole, xyz[start, axis]) / number for axis in range(3)], axis=1)
     caps = np.stack([end, start, count + hole], axis=1)

@@ -18,7 +18,7 @@ FORMATS = (".glb", ".ply")
 
 
 def check_format(path: Path) -> None:
-    """Raise UserError if ``path`` does not end in .glb or .ply, or is a folder."""
+    """Raise a UserError if ``path`` does not end in .glb or .ply, or is a folder."""
     if path.suffix.lower() not in FORMATS:
         got = f"'{path.suffix}'" if path.suffix else "no suffix"
         raise UserError(f"{path}: expected a file name that ends in .glb or .ply, got {got}; choose another name")
@@ -30,9 +30,9 @@ def write_mesh(path: Path, mesh: ColouredMesh, up: Array) -> None:
     """Write a mesh with vertex colours, atomically.
 
     Args:
-        path: the file, whose suffix (.glb or .ply) determines the format.
+        path: the file, in the format of its suffix (.glb or .ply).
         mesh: the mesh, with at least one triangle.
-        up: (3,) up direction of the scene in world coordinates, not zero. In GLB files, the up direction becomes +y.
+        up: (3,) nonzero up direction of the scene in world coordinates, which becomes +y in GLB files.
     """
     normals = vertex_normals(torch.from_numpy(mesh.xyz), torch.from_numpy(mesh.triangles).long()).numpy()
     normals = normals.astype(np.float32)

@@ -31,13 +31,13 @@ from fourd.triangle_fitting.surface import SurfaceFit
 from fourd.triangle_fitting.targets import Target
 
 BOUNDS_MARGIN = 0.03
-"""Margin of the box around the hull, as a share of the box's longest side."""
+"""Margin of the box around the hull, as a fraction of the box's longest side."""
 START_SHARE = 0.5
-"""The fit starts with this share of the maximum number of triangles."""
+"""The fit starts with this fraction of the maximum number of triangles."""
 PERCENT = 100
 
 Picture = Callable[[Camera], NDArray[np.float32]]
-"""Function that renders the image of a camera on a black background: (H, W, 3) colours in [0, 1]."""
+"""Function that renders a camera's image on a black background as colours (H, W, 3) in [0, 1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class FittedFrame:
 
     Attributes:
         mesh: the opaque mesh.
-        steps: number of optimization steps that were done.
+        steps: number of completed optimization steps.
         soft: scores of the soft triangles in held-out views, or None if there are no held-out views or no soft phase.
         opaque: scores of the mesh in held-out views, or None if there are no held-out views.
         is_interrupted: whether Ctrl-C ended the fit early.
@@ -62,9 +62,9 @@ class FittedFrame:
 def fit_frame(views: RunViews, settings: TriangleSettings, track: Track = untracked) -> FittedFrame:
     """Fit triangles to the first frame of a capture.
 
-    At the start, soft triangles are placed on the visual hull of the training views' mattes. The triangles gradually
-    become opaque. Then the triangles are joined into a closed mesh, and the opaque mesh is fitted. The first
-    KeyboardInterrupt ends the fit early.
+    Soft triangles are placed on the visual hull of the training views' mattes, and gradually become opaque while they
+    are fitted. They are then joined into a closed, opaque mesh (unless ``settings.connect`` is False), which is fitted
+    further. The first KeyboardInterrupt ends the fit early.
 
     Args:
         views: the capture with mattes, and its training and held-out cameras.
@@ -107,8 +107,7 @@ class _FrameFit:
         self._surface: SurfaceFit | None = None
 
     def run(self) -> Iterator[int]:
-        """Fit until the budget is spent. Yields the spent share of the budget, as a whole percentage, after each
-        increase by one percent."""
+        """Fit until the budget is spent. Yield the spent percentage of the budget at each whole percent."""
         percent, is_scored = 0, False
         while (share := self.budget.share) < 1:
             if not is_scored and share >= self._settings.soft_share:
@@ -125,7 +124,7 @@ class _FrameFit:
             yield percent
 
     def finish(self) -> ColouredMesh:
-        """The mesh that corresponds to the current state of the fit."""
+        """Return the mesh for the current state of the fit."""
         if self._surface is None:
             self._surface = self._opaque()
         return self._surface.mesh()
@@ -150,7 +149,7 @@ class _FrameFit:
         ).padded(BOUNDS_MARGIN)
 
     def _start(self) -> Soup:
-        """Triangles on the surface of the visual hull."""
+        """Place triangles on the surface of the visual hull."""
         settings, capture = self._settings, self._views.capture
         hull = carve_frame(
             self._masks(),
@@ -169,7 +168,7 @@ class _FrameFit:
         return Soup(corners, torch.from_numpy(colours).float() / 255, hull.spacing)
 
     def _opaque(self) -> SurfaceFit:
-        """The opaque mesh that the triangles form, either connected or separate."""
+        """Start the fit of the opaque mesh, with joined or separate triangles."""
         soup = self._soft.soup
         corners, colours = soup.corners.value.detach(), soup.colours.value.detach()
         if self._settings.connect:

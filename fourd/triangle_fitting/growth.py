@@ -11,30 +11,29 @@ from fourd.cameras import Camera
 from fourd.triangle_fitting.soup import Soup
 
 MIN_WEIGHT = 0.022
-"""A triangle is removed if its compositing weight was below this minimum at all pixels since the last round of
-pruning."""
+"""A triangle is removed if its compositing weight has been below this number at all pixels since the last pruning."""
 MIN_OPACITY = 0.014
 GROWTH = 1.3
 SPLIT_PX = 24.0
 """A triangle that is chosen for growth is split in four if its longest edge exceeds this length, in pixels, in a
-training view. Otherwise, the triangle is duplicated."""
+training view, and duplicated otherwise."""
 CLONE_OFFSET = 0.2
-"""The copy of a duplicated triangle is shifted at random along two of its edges. CLONE_OFFSET is the standard deviation
-of each shift, as a fraction of the edge's length."""
+"""Standard deviation of the random shifts of a duplicated triangle's copy along two of its edges, as a fraction of the
+edge's length."""
 
 
 @torch.no_grad()
 def prune_and_grow(
     soup: Soup, weights: Tensor, priority: Tensor, cameras: Sequence[Camera], most: int, generator: torch.Generator
 ) -> None:
-    """Remove the triangles that contribute almost nothing to the images. Then add triangles until their number is
-    GROWTH times the number of the remaining triangles, but at most ``most``.
+    """Remove the triangles that contribute almost nothing to the images. Then split and duplicate triangles until their
+    number is about GROWTH times that of the remaining triangles, but at most ``most``.
 
     Args:
         soup: the triangles, which are changed in place.
-        weights: (T,) largest compositing weight of each triangle since the last round.
-        priority: (T,) positive numbers. Triangles are drawn for splitting or duplication with probabilities
-            proportional to these numbers.
+        weights: (T,) maximum compositing weight of each triangle since the last call.
+        priority: (T,) nonnegative numbers. Triangles are drawn for growth with probabilities proportional to these
+            numbers.
         cameras: training cameras.
         most: maximum number of triangles.
         generator: random generator for the draws.
@@ -45,7 +44,7 @@ def prune_and_grow(
         return
     wanted = min(int(GROWTH * len(kept)), most) - len(kept)
     is_large = longest_edges_px(soup.corners.value[kept], cameras) > SPLIT_PX
-    # Splitting a triangle adds three triangles, and duplication adds one triangle.
+    # Splitting a triangle adds three triangles, and duplication adds one.
     order = torch.multinomial(priority[kept] + 1e-12, len(kept), generator=generator) if wanted > 0 else kept[:0]
     added = torch.cumsum(torch.where(is_large[order], 3, 1), 0)
     chosen = order[added <= wanted]
@@ -53,8 +52,8 @@ def prune_and_grow(
     grown[chosen] = True
     split, cloned = kept[grown & is_large], kept[grown & ~is_large]
     corners, colours, logits = soup.corners.value, soup.colours.value, soup.logits.value
-    # If a triangle with opacity o is duplicated, both triangles get the opacity o' = 1 - sqrt(1 - o). The two triangles
-    # together are as opaque as the original triangle.
+    # If a triangle with opacity o is duplicated, both copies get the opacity o' = 1 - sqrt(1 - o), so that together
+    # they are as opaque as the original.
     halved = torch.logit(1 - (1 - opacity[cloned]).sqrt(), eps=1e-6)
     logits.data[cloned] = halved
     parts = torch.cat([_in_four(corners[split]), corners[cloned] + _offsets(corners[cloned], generator)])
@@ -67,11 +66,11 @@ def prune_and_grow(
 
 
 def longest_edges_px(corners: Tensor, cameras: Sequence[Camera]) -> Tensor:
-    """Return an approximate upper limit (T,), in pixels, of the length of each triangle's longest edge in the images of
+    """Return an approximate upper bound (T,), in pixels, on the length of each triangle's longest edge in the images of
     ``cameras``.
 
-    The limit is the maximum, over all cameras, of the edge's length in world units times the focal length, divided by
-    the depth of the triangle's centre.
+    The bound is the maximum over all cameras of the edge's length in world units times the focal length, divided by the
+    depth of the triangle's centre.
     """
     edge = (corners - corners[:, [1, 2, 0]]).norm(dim=2).amax(dim=1)
     centre = corners.mean(dim=1)

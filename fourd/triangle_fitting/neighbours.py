@@ -1,4 +1,4 @@
-"""Smoothness of separate triangles. Neighbouring triangles should lie in a common plane and have similar normals."""
+"""Smoothness losses for separate triangles: neighbours should lie in a common plane and have similar normals."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Neighbours:
 
     Attributes:
         first: (P,) int64 triangle indices.
-        second: (P,) int64 index of a neighbour of each triangle in ``first``.
+        second: (P,) int64 indices of neighbours of the triangles in ``first``.
     """
 
     first: Tensor
@@ -29,7 +29,7 @@ class Neighbours:
     @staticmethod
     @torch.no_grad()
     def of(corners: Tensor) -> Neighbours:
-        """Find the neighbours of triangles (T, 3, 3). The normals of two neighbours differ by less than 90 degrees."""
+        """Find the pairs of neighbouring triangles (T, 3, 3) whose normals differ by less than 90 degrees."""
         centres, normals = corners.mean(dim=1), unit_normals(corners)
         count = min(NEIGHBOURS + 1, len(corners))
         tree = cKDTree(centres.numpy())
@@ -41,20 +41,20 @@ class Neighbours:
 
 
 def unit_normals(corners: Tensor) -> Tensor:
-    """Unit normals (T, 3) of triangles (T, 3, 3), which are counter-clockwise seen from outside. For a triangle without
-    area, the result is the zero vector."""
+    """Return the outward unit normals (T, 3) of triangles (T, 3, 3) that are counter-clockwise seen from outside. The
+    normals of triangles without area are 0."""
     a, b, c = corners.unbind(1)
     return functional.normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-20)
 
 
 def smoothness_loss(corners: Tensor, neighbours: Neighbours, spacing: float) -> tuple[Tensor, Tensor]:
-    """Measure how much neighbouring triangles deviate from a common plane. ``corners`` (T, 3, 3) are the vertices of
-    the triangles.
+    """Measure how much neighbouring triangles deviate from a common plane. ``corners`` (T, 3, 3) are the triangles'
+    vertices.
 
     Returns:
-        two losses. The first loss is the mean Huber loss of the distances of the neighbours' centres from the planes of
-        the triangles, in units of ``spacing``. The second loss is the mean of 1 - cos(angle between the normals of two
-        neighbours). Without neighbours, both losses are 0.
+        two losses. The first is the mean Huber loss of the distances of the neighbours' centres from the triangles'
+        planes, in units of ``spacing``. The second is the mean of 1 - cos(angle between the normals of two neighbours).
+        Both are 0 if there are no neighbours.
     """
     centres, normals = corners.mean(dim=1), unit_normals(corners)
     if len(neighbours.first) == 0:

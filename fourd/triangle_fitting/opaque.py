@@ -40,15 +40,15 @@ def render_opaque(
 
     Args:
         xyz: (V, 3) float32 vertices in world units.
-        rgb: (V, 3) colours of the vertices. Within a triangle, the colour is interpolated linearly.
+        rgb: (V, 3) vertex colours, which are interpolated linearly within a triangle.
         tri: (M, 3) int32 vertex indices.
         camera: pinhole camera.
-        topology: the neighbours of the triangles. If None, the neighbours are computed.
+        topology: the triangles' neighbours, or None to compute them in this call.
         samples: number of samples per pixel along each axis.
 
     Returns:
-        rgb (H, W, 3) and alpha (H, W), differentiable with respect to vertices and colours. At the silhouette, the
-        gradient passes through the antialiased edges.
+        rgb (H, W, 3) and alpha (H, W), differentiable with respect to vertices and colours. Gradients at the silhouette
+        come from the antialiased edges.
     """
     fine = camera.resize(camera.width * samples, camera.height * samples)
     clip = clip_positions(xyz, fine)[None].contiguous()
@@ -61,7 +61,7 @@ def render_opaque(
 
 @torch.no_grad()
 def mesh_image(mesh: ColouredMesh, camera: Camera, samples: int = 3) -> NDArray[np.float32]:
-    """Image (H, W, 3) in [0, 1] of a mesh on a black background."""
+    """Render a mesh on a black background to an image (H, W, 3) in [0, 1]."""
     rgb = torch.from_numpy(mesh.rgb).float() / 255
     tri = torch.from_numpy(mesh.triangles)
     topology = antialias_construct_topology(tri)

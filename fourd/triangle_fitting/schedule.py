@@ -2,11 +2,10 @@
 
 The alpha of a triangle at a pixel is its opacity times a window function, which falls from 1 at the triangle's incentre
 to 0 at its edges (:func:`fourd.raster.triangles.splat_triangles`). In the soft phase, the exponent sigma of the window
-function is 1.16, and opacities are not limited. After the soft phase, sigma decreases geometrically to 1e-4. At the
-same time, a lower limit of the opacity rises from 0.1 to 0.9999, so that the triangles become opaque up to their edges.
-The initial value of sigma is from Held et al. 2025. The ranges of sigma and of the lower limit are those of the paper's
-method with opaque triangles. In fourd, sigma and the lower limit of the opacity depend on the spent share of the
-budget.
+function is 1.16, and opacities have no lower limit. In the next phase, sigma decreases geometrically to 1e-4 while a
+lower limit of the opacity rises from 0.1 to 0.9999, so that the triangles become opaque up to their edges. The initial
+value of sigma is that of Held et al. 2025, and the ranges of sigma and of the lower limit are those of the paper's
+method with opaque triangles. In fourd, both depend on the spent fraction of the budget.
 """
 
 from __future__ import annotations
@@ -21,17 +20,17 @@ from fourd.triangle_fitting.settings import TriangleSettings
 SIGMA_RANGE = (1.16, 1e-4)
 FLOOR_RANGE = (0.1, 0.9999)
 SLOWEST_RATE = 0.1
-"""Learning rate at the end, as a share of the learning rate at the start."""
+"""Learning rate at the end, as a fraction of the learning rate at the start."""
 
 
 @dataclass(frozen=True)
 class Phase:
-    """State of the schedule at one time.
+    """The state of the schedule at one point of the fit.
 
     Attributes:
         sigma: exponent of the window function.
         floor: lower limit of the opacity.
-        rate: factor that multiplies the learning rate of positions.
+        rate: factor for the learning rate of positions.
         grows: whether pruning and growth of triangles are enabled.
     """
 
@@ -42,8 +41,8 @@ class Phase:
 
 
 def phase_at(share: float, settings: TriangleSettings) -> Phase:
-    """Return the phase when the share ``share`` of the budget, in [0, 1], is spent. When ``share`` reaches
-    ``hard_share``, the fit of opaque triangles starts, which uses only :func:`surface_rate`."""
+    """Return the phase when the fraction ``share``, in [0, 1], of the budget is spent. From ``hard_share`` on, opaque
+    triangles are fitted, for which only :func:`surface_rate` is used."""
     rate = SLOWEST_RATE**share
     if share < settings.soft_share:
         return Phase(SIGMA_RANGE[0], 0.0, rate, True)
@@ -55,22 +54,22 @@ def phase_at(share: float, settings: TriangleSettings) -> Phase:
 
 
 def surface_rate(share: float, settings: TriangleSettings) -> float:
-    """Factor that multiplies the learning rates of opaque triangles. The factor is 1 at ``hard_share`` and SLOWEST_RATE
-    at the end."""
+    """Return the factor for the learning rates of opaque triangles, which is 1 at ``hard_share`` and SLOWEST_RATE at
+    the end."""
     length = 1 - settings.hard_share
     return float(SLOWEST_RATE ** min(max((share - settings.hard_share) / length, 0.0), 1.0)) if length > 0 else 1.0
 
 
 class Budget:
-    """Measures the spent share of a budget. The clock starts when the object is created.
+    """Measures the spent fraction of a budget of steps, seconds or both. The clock starts when the object is created.
 
     Attributes:
-        steps: number of optimization steps that were done.
+        steps: number of completed optimization steps.
     """
 
     def __init__(self, max_steps: int | None, max_seconds: float | None) -> None:
-        """Start the clock. A limit of None means no limit. If both limits are given, the limit that is reached first
-        ends the fit."""
+        """Start the clock. None means no limit. If both limits are given, the one that is reached first ends the
+        fit."""
         self.steps = 0
         self._max_steps, self._max_seconds = max_steps, max_seconds
         self._start = monotonic()
@@ -78,7 +77,7 @@ class Budget:
 
     @property
     def share(self) -> float:
-        """The spent share in [0, 1]."""
+        """The spent fraction in [0, 1]."""
         if self._is_closed:
             return 1.0
         steps = 0.0 if self._max_steps is None else self.steps / self._max_steps

@@ -1,4 +1,4 @@
-"""Settings of the fit of triangles."""
+"""Settings of triangle fitting."""
 
 from __future__ import annotations
 
@@ -8,27 +8,26 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class TriangleSettings:
-    """Settings of the fit of the triangles of one frame.
+    """Settings for fitting triangles to one frame.
 
     Attributes:
         triangles: maximum number of soft triangles, at least 16. The fit starts with half of this number.
-        cells: number of grid cubes along the longest side of the subject, at least 8. This number determines the
-            resolution of connected meshes.
-        connect: whether the opaque triangles are joined into a closed mesh. If false, the triangles remain separate.
+        cells: number of grid cubes along the longest side of the subject, at least 8, which determines the resolution
+            of connected meshes.
+        connect: whether the opaque triangles are joined into a closed mesh. If False, they remain separate.
         max_steps: maximum number of steps; None means no limit.
-        max_seconds: maximum number of seconds of fitting; None means no limit. At least one of ``max_steps`` and
+        max_seconds: maximum fitting time in seconds; None means no limit. At least one of ``max_steps`` and
             ``max_seconds`` must be set.
         interval: number of steps between two rounds of pruning and growth, at least 1.
-        soft_share: share of the budget, in [0, 1], after which the soft triangles gradually become opaque.
-        hard_share: share of the budget, at least ``soft_share``, after which triangles are opaque.
-        plane: weight of the loss on the distances of triangles from the planes of their neighbours.
+        soft_share: fraction of the budget, in [0, 1], after which the soft triangles start to become opaque.
+        hard_share: fraction of the budget, from ``soft_share`` to 1, after which the triangles are opaque.
+        plane: weight of the loss on triangles' distances from the planes of their neighbours.
         normal: weight of the loss on the angles between neighbouring triangles.
-        laplacian: weight of the squared Laplacian of connected meshes. The unit of the Laplacian is the side of a grid
-            cube.
+        laplacian: weight of the squared Laplacian of connected meshes, with lengths in units of the cube side.
         crease: weight of the normal-consistency loss of connected meshes.
-        agreement: a share in (0, 1]. A hull point must be inside the mattes of at least this share of the views that
-            see it.
-        least_views: a share in (0, 1]. At least this share of all views must see a hull point.
+        agreement: a hull point must be inside the mattes of at least this fraction, in (0, 1], of the views that see
+            it.
+        least_views: at least this fraction, in (0, 1], of all views must see a hull point.
         seed: seed of all random numbers: the order of the views, the initial triangles and the growth.
     """
 

@@ -1,4 +1,4 @@
-"""The fit of separate triangles, which become opaque during the fit."""
+"""The fit of separate triangles, which gradually become opaque."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fourd.triangle_fitting.soup import Soup
 from fourd.triangle_fitting.targets import Target, TargetOrder
 
 NEIGHBOUR_STEPS = 50
-"""Number of steps between two searches for neighbours."""
+"""Number of steps after which the triangles' neighbours are searched again."""
 
 
 class SoftFit:

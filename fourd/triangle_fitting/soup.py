@@ -1,4 +1,4 @@
-"""Separate triangles, each of one colour: their parameters and their rendering."""
+"""Separate triangles of one colour each: their parameters and their rendering."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from fourd.triangle_fitting.schedule import Phase
 
 START_OPACITY = 0.28
 CIRCUMRADIUS_SPACINGS = 1.5
-"""Circumradius of the initial triangles, as a multiple of the distance between the centres of neighbouring
-triangles."""
+"""Circumradius of the initial triangles, as a multiple of the distance between neighbouring triangles' centres."""
 POSITION_RATE_SPACINGS = 0.02
 COLOUR_RATE = 0.01
 OPACITY_RATE = 0.05
@@ -27,14 +26,13 @@ class Soup:
     Attributes:
         corners: (T, 3, 3) vertices in world units.
         colours: (T, 3) RGB, where 0 is black and 1 is white.
-        logits: (T,) parameters of the opacity. Without a lower limit of the opacity, the opacity is the sigmoid of the
-            logit; see :meth:`opacity`.
-        spacing: initial distance between neighbouring triangles in world units. The learning rate of positions is
-            proportional to the spacing.
+        logits: (T,) opacity parameters. :meth:`opacity` converts them to opacities.
+        spacing: initial distance between neighbouring triangles in world units, to which the learning rate of positions
+            is proportional.
     """
 
     def __init__(self, corners: Tensor, colours: Tensor, spacing: float) -> None:
-        """Start with the corners (T, 3, 3) and the colours (T, 3)."""
+        """Start with the given corners (T, 3, 3) and colours (T, 3)."""
         self.spacing = spacing
         start = torch.full((len(corners),), START_OPACITY)
         self.corners = AdamRows(corners, POSITION_RATE_SPACINGS * spacing)
@@ -45,7 +43,7 @@ class Soup:
         return len(self.corners.value)
 
     def opacity(self, floor: float) -> Tensor:
-        """Return the opacities (T,), which are at least ``floor``."""
+        """Return the opacities (T,): the sigmoids of the logits, scaled to the range from ``floor`` to 1."""
         return floor + (1 - floor) * torch.sigmoid(self.logits.value)
 
     def render(self, camera: Camera, phase: Phase) -> TriangleRender:
@@ -61,7 +59,7 @@ class Soup:
         )
 
     def step(self, loss: Tensor, phase: Phase) -> Tensor:
-        """Update all parameters by one step. Returns the gradient of the corners (T, 3, 3)."""
+        """Update all parameters with one step. Return the gradient of the corners (T, 3, 3)."""
         rows = (self.corners, self.colours, self.logits)
         gradients = torch.autograd.grad(loss, [each.value for each in rows], materialize_grads=True)
         for each, gradient, factor in zip(rows, gradients, (phase.rate, 1.0, 1.0), strict=True):
@@ -70,15 +68,15 @@ class Soup:
 
 
 def triangle_indices(count: int) -> Tensor:
-    """Vertex indices (T, 3) int32 of triangles without shared vertices."""
+    """Return the int32 vertex indices (T, 3) of triangles without shared vertices."""
     return torch.arange(3 * count, dtype=torch.int32).reshape(count, 3)
 
 
 def start_triangles(
     xyz: NDArray[np.float32], normals: NDArray[np.float32], spacing: float, generator: torch.Generator
 ) -> Tensor:
-    """Return equilateral triangles (N, 3, 3) that are centred on surface points and lie in the tangent planes. Each
-    triangle is rotated by a random angle about its normal.
+    """Return equilateral triangles (N, 3, 3) that are centred on surface points, lie in the tangent planes, and are
+    rotated by random angles about their normals.
 
     Args:
         xyz: (N, 3) points.

@@ -1,4 +1,4 @@
-"""The fit of opaque triangles, which are either joined into a mesh or separate."""
+"""The fit of opaque triangles, which are joined into a mesh or separate."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from fourd.triangle_fitting.soft import NEIGHBOUR_STEPS
 from fourd.triangle_fitting.targets import Target, TargetOrder
 
 POSITION_RATE = 0.02
-"""Learning rate of vertices, as a multiple of the mesh's resolution ``side``."""
+"""Learning rate of vertex positions, as a multiple of the mesh's resolution ``side``."""
 COLOUR_RATE = 0.01
 
 
 class SurfaceFit:
-    """Fits an opaque mesh to the views of one frame, by rasterization with antialiasing. The positions and colours of
-    the vertices are optimised.
+    """Fits the vertex positions and colours of an opaque mesh to the views of one frame, by rasterization with
+    antialiasing.
 
     Attributes:
         tri: (M, 3) int32 vertex indices.
@@ -39,7 +39,7 @@ class SurfaceFit:
         settings: TriangleSettings,
         generator: torch.Generator,
     ) -> None:
-        """Start with a mesh: vertices (V, 3), colours (V, 3) and triangles (M, 3). ``side`` is the mesh's resolution,
+        """Start with a mesh, given as vertices (V, 3), colours (V, 3) and triangles (M, 3). ``side`` is its resolution,
         as a length in world units."""
         xyz, rgb, self.tri = mesh
         self.xyz, self.rgb = AdamRows(xyz, POSITION_RATE * side), AdamRows(rgb, COLOUR_RATE)
@@ -51,7 +51,7 @@ class SurfaceFit:
         self._steps = 0
 
     def step(self, rate: float) -> None:
-        """Fit the mesh to one view. ``rate`` multiplies the learning rates."""
+        """Perform one optimization step on one view, with learning rates multiplied by ``rate``."""
         target = self._order.draw()
         image, alpha = render_opaque(self.xyz.value, self.rgb.value, self.tri, target.camera, self._edges)
         loss = target.loss(image, alpha) + self._smoothness()
@@ -62,7 +62,7 @@ class SurfaceFit:
 
     @torch.no_grad()
     def mesh(self) -> ColouredMesh:
-        """The mesh for the current parameters."""
+        """Return the mesh for the current parameters."""
         rgb = (self.rgb.value.clamp(0, 1) * 255).round().to(torch.uint8)
         return ColouredMesh(self.xyz.value.detach().numpy().copy(), self.tri.numpy(), rgb.numpy())
 

@@ -33,14 +33,14 @@ class Target:
 
     @staticmethod
     def of(view: MeshView) -> Target:
-        """The training view as a target of the fit."""
+        """Convert a training view to a target of the fit."""
         matte = torch.from_numpy(view.matte)
         return Target(view.camera, torch.from_numpy(view.rgb) * matte[..., None], matte)
 
     def loss(self, rgb: Tensor, alpha: Tensor) -> Tensor:
-        """Loss of a rendered image (H, W, 3) with a black background, and of its alpha (H, W). The loss is a weighted
-        sum of three errors: the image's mean absolute error, the alpha's mean absolute error, and the image's
-        structural dissimilarity. The last error is left out for images with a side below WINDOW_PX."""
+        """Return the loss of a rendered image (H, W, 3) with a black background, and of its alpha (H, W). It is a
+        weighted sum of the image's mean absolute error, the alpha's mean absolute error and, unless a side is shorter
+        than WINDOW_PX, the image's structural dissimilarity."""
         colours, matte = (rgb - self.rgb).abs().mean(), (alpha - self.matte).abs().mean()
         loss = (1 - SIMILARITY_WEIGHT) * colours + MATTE_WEIGHT * matte
         if min(rgb.shape[:2]) < WINDOW_PX:
@@ -49,7 +49,7 @@ class Target:
 
 
 class TargetOrder:
-    """Draws targets in random order. No target is drawn again before all others have been drawn."""
+    """Draws targets in rounds, each of which contains every target once, in random order."""
 
     def __init__(self, targets: Sequence[Target], generator: torch.Generator) -> None:
         """Draw from one or more targets."""
@@ -57,7 +57,7 @@ class TargetOrder:
         self._order: list[int] = []
 
     def draw(self) -> Target:
-        """The next target."""
+        """Return the next target."""
         if not self._order:
             self._order = torch.randperm(len(self._targets), generator=self._generator).tolist()
         return self._targets[self._order.pop()]

@@ -1,4 +1,4 @@
-"""Train ablations on one capture. Plot and tabulate held-out PSNR over training time.
+"""Train ablations on one capture, and plot and tabulate the held-out PSNR over training time.
 
     python tools/plots/ablation_plot.py CAPTURE --test-views 03,09,14 --frames 0:1 --seconds 180
 
@@ -64,11 +64,8 @@ def _marks(arguments: Arguments) -> list[float]:
 
 
 def _curve(arguments: Arguments, name: str) -> list[tuple[float, float]]:
-    """Return one pair per validation of an ablation.
-
-    A pair contains the training time in seconds, and the PSNR of the held-out views inside the bounding box of the
-    matte.
-    """
+    """Return the training time in seconds and the held-out PSNR of each validation of an ablation. The PSNR is measured
+    inside the bounding box of the matte."""
     folder = arguments.work / name
     base = TrainConfig()
     config = replace(

@@ -1,7 +1,7 @@
 """Make docs/figures/demo.png from the folder demo/ that ``make demo`` has written.
 
-The figure shows an image of a held-out camera, the scene from the same camera, and the scene from three viewpoints
-between the cameras.
+The figure shows an image of a held-out camera, the scene rendered from this camera, and the scene rendered from three
+viewpoints between the cameras.
 """
 
 from __future__ import annotations
@@ -64,19 +64,19 @@ def main() -> None:
 
 
 def cut_out(capture: Capture, camera: int, frame: int) -> Picture:
-    """The subject in a camera's image, composited over the background colour, (H, W, 3)."""
+    """Return the subject of a camera image, composited over the background colour, (H, W, 3)."""
     matte = capture.mask(camera, frame)[..., None] / 255
     return np.rint(capture.image(camera, frame) * matte + BACKGROUND * (1 - matte)).astype(np.uint8)
 
 
 def draw(reader: SceneReader, frame: int, camera: Camera) -> Picture:
-    """The scene, rendered over the background colour, (H, W, 3)."""
+    """Render the scene over the background colour, (H, W, 3)."""
     grey = BACKGROUND / 255
     return Player().draw(reader.read(frame), camera, reader.manifest, background=(grey, grey, grey))[..., :3]
 
 
 def with_label(label: str, picture: Picture, width: int) -> Picture:
-    """The middle part of ``picture`` as a panel of the given width, with its label above."""
+    """Return a panel of the given width that shows the middle of ``picture``, with a label above it."""
     middle = picture.shape[1] // 2
     left = max(0, min(middle - width // 2, picture.shape[1] - width))
     panel = np.full((picture.shape[0] + 40, width, 3), BACKGROUND, np.uint8)

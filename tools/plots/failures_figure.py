@@ -1,4 +1,4 @@
-"""Draw the hulls that are carved from captures with errors (docs/figures/guide/failures.jpg).
+"""Draw the visual hulls that are carved from captures with errors (docs/figures/guide/failures.jpg).
 
 python tools/plots/failures_figure.py docs/figures/guide/failures.jpg
 """
@@ -25,15 +25,14 @@ Picture = NDArray[np.uint8]
 
 FRAMES, CAMERAS, SIZE = 12, 12, 320
 SHOWN, BROKEN, OTHER = 0, 4, 9
-"""Index of the camera whose image the figure shows, index of the camera with an error, and index of a second camera
-with an error."""
+"""Indices of three cameras: the one whose image the figure shows, and the first and the second one with an error."""
 LATE_FRAMES = 3
 POINT_BGR = (60, 160, 255)
 
 
 @dataclass(frozen=True)
 class Case:
-    """The mattes and cameras from which one hull is carved, and the title of the hull's picture."""
+    """The mattes and cameras from which one hull is carved, and the title of its image."""
 
     title: str
     masks: list[Picture]
@@ -56,7 +55,7 @@ def main(out: tyro.conf.Positional[Path]) -> None:
 
 
 def cases(capture: Capture, other: Capture) -> list[Case]:
-    """The correct capture, and five captures with one error each."""
+    """Return the correct capture, and five captures with one error each."""
     cameras = list(capture.cameras)
     masks = [matte(capture, camera, 0) for camera in range(CAMERAS)]
 
@@ -86,7 +85,7 @@ def matte(capture: Capture, camera: int, frame: int) -> Picture:
 
 
 def draw(picture: Picture, case: Case, bounds: Bounds) -> Picture:
-    """Draw the hull's points over the grey image of the camera SHOWN. Returns (H, W, 3) BGR."""
+    """Draw the hull's points over the greyscale ``picture`` of the camera SHOWN. Returns (H, W, 3) BGR."""
     grey = cv2.cvtColor(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2BGR)
     canvas = np.asarray(grey // 2 + 40, np.uint8)
     note = ""

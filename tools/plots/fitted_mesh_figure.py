@@ -23,14 +23,14 @@ HEIGHT_PX, GAP_PX = 420, 12
 
 
 def load_mesh(path: Path) -> ColouredMesh:
-    """The mesh of a PLY file."""
+    """Read a mesh from a PLY file."""
     mesh = trimesh.load(path, process=False)
     rgb = np.asarray(mesh.visual.vertex_colors[:, :3], np.uint8)
     return ColouredMesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32), rgb)
 
 
 def shaded(mesh: ColouredMesh, camera: Camera) -> NDArray[np.float32]:
-    """Image (H, W, 3) of the mesh as a diffuse grey surface, lit from above the camera."""
+    """Render the mesh as a diffuse grey surface, lit from above the camera, to an image (H, W, 3)."""
     normals = trimesh.Trimesh(mesh.xyz, mesh.triangles, process=False).vertex_normals
     light = -camera.forward + 0.5 * camera.rotation[0] - 0.6 * camera.rotation[1]
     light /= np.linalg.norm(light)
@@ -54,7 +54,7 @@ def images_of(folder: Path, view: str, separate: Path, connected: Path) -> list[
 
 
 def centred(image: NDArray[np.float32], width: int) -> NDArray[np.float32]:
-    """Return a black image of the given width with the image in its middle."""
+    """Pad an image with black to the given width, with the image in the middle."""
     left = (width - image.shape[1]) // 2
     return np.pad(image, ((0, GAP_PX), (left, width - image.shape[1] - left), (0, 0)))
 

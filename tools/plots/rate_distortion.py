@@ -1,13 +1,12 @@
-"""Measure the size and the image quality of packed scenes, and of the same frames in the file formats of other
-programs.
+"""Measure the size and image quality of packed scenes, and of the same frames in file formats of other programs.
 
     python tools/plots/rate_distortion.py scene.4dv CAPTURE --views 03,09,14 -o rates/ --transform splat-transform
 
-The program packs the scene in all levels. The program also exports 3DGS PLY files and converts them with
-splat-transform (npm: @playcanvas/splat-transform) to compressed PLY, SPZ and SOG, and back to PLY. One renderer draws
-all results. The images are compared with the captured images of held-out cameras. PSNR is measured inside the subject's
-box, or in the whole image if the scene has a background. The program writes rates/rows.json and prints a Markdown
-table. tools/plots/rate_plot.py draws the rows.
+The program packs the scene in all levels (sets of quantisation steps). It also exports 3DGS PLY files, which
+splat-transform (npm: @playcanvas/splat-transform) converts to compressed PLY, SPZ and SOG, and back to PLY. The same
+renderer draws all results, and the images are compared with captured images of held-out cameras. PSNR is measured
+inside the subject's bounding box, or in the whole image if the scene has a background. The program writes
+rates/rows.json, which tools/plots/rate_plot.py plots, and prints a Markdown table.
 """
 
 from __future__ import annotations
@@ -38,12 +37,12 @@ CONVERTED = {"compressed PLY": ".compressed.ply", "SPZ": ".spz", "SOG": ".sog"}
 
 @dataclass(frozen=True)
 class Arguments:
-    """The scene, the true images, and the formats and levels to measure."""
+    """The scene, the ground truth, and the formats and levels to measure."""
 
     scene: tyro.conf.Positional[Path]
     """An unpacked .4dv file."""
     capture: tyro.conf.Positional[Path]
-    """The capture with the true images and mattes."""
+    """The capture with the ground-truth images and mattes."""
     views: str
     """Names of the cameras to compare with, separated by commas."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
@@ -53,16 +52,16 @@ class Arguments:
     levels: tuple[str, ...] = tuple(f"{tier}{level + 1}" for tier in LEVELS for level in range(len(LEVELS[tier])))
     """Levels of packed scenes to measure. The default is all levels."""
     transform: Path | None = None
-    """The program splat-transform. Without this option, the formats of other programs are not measured."""
+    """The program splat-transform. By default, the formats of other programs are not measured."""
     degrees: tuple[int, ...] = (0, 1, 2, 3)
-    """Degrees of spherical harmonics with which splats are exported."""
+    """Degrees of spherical harmonics at which splats are exported."""
 
 
 @dataclass(frozen=True)
 class Row:
     """One point of a rate-distortion curve.
 
-    ``size`` is in bytes per frame. ``fetched`` is the part of ``size`` that a player downloads for one viewing camera.
+    ``size`` is the number of bytes per frame, of which a player downloads ``fetched`` bytes for one viewing camera.
     ``psnr`` maps each frame to the mean PSNR over the cameras, in dB. ``background`` is the size in bytes of the
     background, which a scene stores only once.
     """
@@ -76,7 +75,7 @@ class Row:
 
 
 class Truth:
-    """The true images of some cameras. For scenes without a background, the images are black outside the matte."""
+    """The captured images of some cameras. For scenes without a background, they are black outside the matte."""
 
     def __init__(self, scene: Scene, capture: Capture, views: list[str]) -> None:
         self._cameras = {view: scene.manifest.camera(view) for view in views}
@@ -118,7 +117,7 @@ def main(arguments: Arguments) -> None:
 
 
 def print_table(rows: list[Row]) -> None:
-    """Print the rows, with the mean PSNR over the frames that all rows have."""
+    """Print the rows, with the mean PSNR over the frames that all rows have in common."""
     common = sorted(set.intersection(*(set(row.psnr) for row in rows)), key=int)
     print(f"PSNR over the frames {', '.join(common)}, and over all measured frames\n")
     print("| files | kB per frame | fetched, kB per frame | background, kB | PSNR | PSNR, all measured |")
@@ -157,8 +156,8 @@ def _measure_level(arguments: Arguments, truth: Truth, tier: Tier, level: int) -
 
 
 def _measure_splats(arguments: Arguments, scene: Scene, truth: Truth, degree: int, known: set[str]) -> Iterator[Row]:
-    """Export splats with spherical harmonics of the degree ``degree``, convert them to other formats and back, and
-    yield one row for each format that is not in ``known``."""
+    """Export splats with spherical harmonics up to ``degree``, convert them to other formats and back, and yield one
+    row for each format that is not in ``known``."""
     frames = list(range(0, len(scene), arguments.every))
     folder = arguments.out / f"degree{degree}"
     settings = ExportSettings("ply-sequence", frames, degree, keep_axes=True)

@@ -30,7 +30,7 @@ class Arguments:
 
 
 def main(arguments: Arguments) -> None:
-    """Draw one curve for each tier and each format, over the frames that all rows have."""
+    """Draw one curve for each tier and each format, averaged over the frames that all rows have in common."""
     matplotlib.use("Agg")
     from matplotlib import pyplot
 

@@ -46,10 +46,10 @@ class Arguments:
 
 @dataclass(frozen=True)
 class Series:
-    """Time in milliseconds of each kind of work, such as rendering, as a function of the number of points, pixels or
-    layers.
+    """The time of each kind of work, such as rendering, as a function of one quantity.
 
-    ``axis`` is the name of the quantity, and ``positions`` are the values of the quantity.
+    ``axis`` names the quantity (points, pixels or layers), ``positions`` are its values, and ``milliseconds`` contains
+    the times at these values for each kind of work.
     """
 
     axis: str
@@ -57,7 +57,7 @@ class Series:
     milliseconds: dict[str, list[float]]
 
     def slope(self, kind: str) -> float:
-        """Return the slope of log time over log position, fitted to the upper half of the positions.
+        """Return the log-log slope of the time, fitted to the upper half of the positions.
 
         A slope of 1 means linear growth.
         """
@@ -87,7 +87,7 @@ def main(arguments: Arguments) -> None:
 
 
 def by_pixels() -> dict[int, tuple[int, int]]:
-    """Return a mapping from the number of pixels of an image to its size (width, height)."""
+    """Return a mapping from the number of pixels in an image to the image size (width, height)."""
     return {width * height: (width, height) for width, height in SIZES}
 
 
@@ -136,7 +136,7 @@ def plot(series: list[Series], path: Path) -> None:
 
 
 def table(series: Series) -> str:
-    """Return a Markdown table with one row per position, and the slopes from :meth:`Series.slope` in the last row."""
+    """Return a Markdown table with one row per position, and the log-log slopes in the last row."""
     lines = [f"| {series.axis} | " + " | ".join(KINDS) + " |", "|---" * (len(KINDS) + 1) + "|"]
     for index, position in enumerate(series.positions):
         lines.append(

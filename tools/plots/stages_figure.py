@@ -43,7 +43,7 @@ class Arguments:
     view: int = 0
     """Index of the camera from which stages.jpg is drawn."""
     frame: int = 4
-    """Index of the shown frame in the scene."""
+    """Index, in the scene, of the frame to show."""
     stride: int = 10
     """Every ``stride``-th frame of the capture is a frame of the scene."""
     height: int = 360
@@ -64,7 +64,7 @@ def main() -> None:
 
 
 def _stages(arguments: Arguments, scene: Scene) -> list[Picture]:
-    """The image, the subject cut out, the points of the hull, and the scene, each (H, W, 3) RGB."""
+    """Return the image, the cut-out subject, the points of the hull, and the rendered scene, each (H, W, 3) RGB."""
     number = arguments.frame * arguments.stride
     capture = open_capture(arguments.capture, frames=f"{number}:{number + 1}")
     camera = capture.cameras[arguments.view]
@@ -89,8 +89,8 @@ def _render(scene: Scene, camera: Camera, frame: int) -> Picture:
 
 
 def _write(path: Path, pictures: Sequence[Picture], height: int) -> None:
-    """Write pictures (H, W, 3) RGB side by side, cropped to the pixel rows that show the subject."""
-    # The first picture is skipped: in stages.jpg, it shows the whole room.
+    """Write images (H, W, 3) RGB side by side, cropped to the pixel rows that show the subject."""
+    # The first image does not define the crop, because in stages.jpg it shows the whole room.
     rows = np.flatnonzero(np.any([(each != GREY).any(axis=(1, 2)) for each in pictures[1:]], axis=0))
     top, bottom = max(rows[0] - MARGIN_PX, 0), rows[-1] + MARGIN_PX
     pictures = [each[top:bottom] for each in pictures]

@@ -1,5 +1,5 @@
-"""Draw a turntable of meshes. For each GLB file that fourd mesh has written, one row shows the textured mesh, and one
-row shows the grey shaded surface.
+"""Draw a turntable of meshes. For each GLB file from `fourd mesh`, one row shows the textured mesh, and one row shows
+the surface in shaded grey.
 
 python tools/plots/turntable_figure.py FRAME.glb [FRAME.glb ...] -o turntable.jpg
 """
@@ -27,7 +27,7 @@ ELEVATION = 0.25
 
 
 def turntable(mesh: TexturedMesh, up: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Two rows of images: textured and shaded."""
+    """Return two rows of images, one textured and one shaded."""
     centre = (mesh.xyz.min(axis=0) + mesh.xyz.max(axis=0)).astype(np.float64) / 2
     reach = float(np.linalg.norm(mesh.xyz - centre, axis=1).max())
     side = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
@@ -48,7 +48,7 @@ def turntable(mesh: TexturedMesh, up: NDArray[np.float64]) -> NDArray[np.float32
 
 
 def shade(mesh: TexturedMesh, camera: Camera, light: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Image (H, W, 3) of the surface with diffuse grey shading, on a black background."""
+    """Render the surface with diffuse grey shading on a black background, to an image (H, W, 3)."""
     fine = camera.resize(camera.width * SAMPLES, camera.height * SAMPLES)
     clip, triangles = clip_positions(torch.from_numpy(mesh.xyz), fine)[None], torch.from_numpy(mesh.triangles)
     rast, _ = rasterize(clip.contiguous(), triangles, (fine.height, fine.width), grad_db=False)

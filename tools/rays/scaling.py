@@ -2,7 +2,7 @@
 
     python tools/rays/scaling.py -o docs/figures/rays_scaling.png
 
-Times are CPU seconds of one thread, so other programs hardly change them. Each time is the median of five calls.
+Times are CPU seconds on one thread, which other programs hardly change. Each time is the median of five calls.
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
-"""Compare three methods that decide which views see a texel: tracing rays, comparing rasterized depths, and no test at
-all.
+"""Compare three ways to decide which views see a texel: tracing rays, comparing rasterized depths, and no test at all.
 
     fourd mesh CAPTURE -o meshes/ --frames 0:1 --test-views 03,09,14
     python tools/rays/texture_visibility.py CAPTURE meshes/000000.glb --test-views 03,09,14
 
-The program textures the mesh of the first frame with each method, and compares the result with the held-out views.
-Times are CPU times of the visibility tests with one thread.
+The program textures the mesh of the first frame in each way, and compares the results with the held-out views. Times
+are CPU times of the visibility tests on one thread.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ TOLERANCE_PX = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Rays(Occluder):
-    """Visibility by ray tracing, as in fourd mesh. The CPU time of the calls is measured."""
+    """Visibility by ray tracing, as in `fourd mesh`. ``seconds`` collects the CPU times of the calls."""
 
     seconds: list[float] = field(default_factory=list)
 
@@ -54,7 +53,7 @@ class Rays(Occluder):
 
 @dataclass(frozen=True, eq=False)
 class Untested(Rays):
-    """No visibility test: all points count as visible."""
+    """No visibility test, so that all points count as visible."""
 
     def test(self, xyz: Floats, normals: Floats, camera: Camera) -> NDArray[np.bool_]:
         return np.zeros(len(xyz), np.bool_)
@@ -63,8 +62,8 @@ class Untested(Rays):
 @dataclass(frozen=True, eq=False)
 class Rasterized(Rays):
     """Visibility by a rasterized depth map. A point is visible if its depth exceeds the smallest depth of the 3 x 3
-    pixels around it by at most a tolerance. The tolerance is the width of TOLERANCE_PX pixels at the depth of the
-    point, divided by the cosine of the angle between the viewing ray and the normal."""
+    pixels around it by at most a tolerance. The tolerance is the width of TOLERANCE_PX pixels at the point's depth,
+    divided by the cosine of the angle between the viewing ray and the normal."""
 
     nearest: dict[Camera, Floats] = field(default_factory=dict)
 
@@ -81,8 +80,8 @@ class Rasterized(Rays):
 
 
 def weld(mesh: TexturedMesh) -> tuple[Floats, NDArray[np.int64]]:
-    """Merge vertices at the same position. Return the distinct positions (V, 3), and for each vertex of the mesh the
-    index (N,) of its position."""
+    """Merge vertices at the same position. Return the distinct positions (V, 3), and an array (N,) with the index of
+    each mesh vertex's position."""
     xyz, index = np.unique(mesh.xyz, axis=0, return_inverse=True)
     return xyz, index.reshape(-1)
 

@@ -3,8 +3,8 @@
     python tools/rays/train_triangles.py CAPTURE --test-views 03,09,14 --method raster|rays|fisheye
 
 The program scores held-out views. All methods start with the same triangles and take the same number of steps.
-Triangles are neither removed nor split. The fisheye images are resampled from the images of the capture, with an
-equidistant lens model. Training uses the same lens model.
+Triangles are neither removed nor split. The fisheye images are resampled from the capture's images with an equidistant
+lens model, which training also uses.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ RaysOf = dict[Camera, tuple[Tensor, Tensor]]
 
 
 class RaySoup(Soup):
-    """Triangles that are rendered by tracing rays. Cameras without given rays are pinhole cameras."""
+    """Triangles that are rendered by tracing rays. Cameras for which no rays are given are pinhole cameras."""
 
     def __init__(self, soup: Soup, rays: RaysOf) -> None:
         super().__init__(soup.corners.value.detach(), soup.colours.value.detach(), soup.spacing)
@@ -68,13 +68,13 @@ def pinhole_rays(camera: Camera) -> tuple[Tensor, Tensor]:
 
 
 def fisheye_target(camera: Camera, image: np.ndarray, matte: np.ndarray, rays: RaysOf) -> Target:
-    """Resample an image (H, W, 3) and its matte to a fisheye image that is cropped to the subject. Store the rays of
-    the cropped image in ``rays``."""
+    """Resample an image (H, W, 3) and its matte to a fisheye image, and crop it to the subject. The rays of the cropped
+    image are stored in ``rays``."""
     bundle = Fisheye(FISHEYE_DEG).rays(camera)
     directions = np.tile(camera.forward, (camera.height * camera.width, 1))
     directions[bundle.pixels] = bundle.directions
     pixels, depth = camera.project(camera.centre + directions)
-    # In OpenCV, pixel centres are at whole numbers. For directions outside the image, the matte is 0.
+    # In OpenCV, pixel centres have integer coordinates. For directions outside the image, the matte becomes 0.
     at = np.where(depth[:, None] > 1e-6, pixels - 0.5, -10).astype(np.float32).reshape(camera.height, camera.width, 2)
     warped = cv2.remap(np.dstack([image, matte]), at, None, cv2.INTER_LINEAR, borderValue=(0, 0, 0, 0))
     inside = np.zeros(len(directions), bool)

@@ -1,4 +1,4 @@
-"""Command lines of the programs in this folder, which pass the words after ``--`` to fourd."""
+"""Parses the command lines of the programs in this folder, which pass the words after ``--`` to fourd."""
 
 from __future__ import annotations
 

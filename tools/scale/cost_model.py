@@ -1,11 +1,11 @@
-"""Cost model of ``fourd make``: duration, bytes and price of each stage for a capture, a config and a cluster.
+"""Predict the duration, data traffic and price of each stage of ``fourd make`` for a capture, a config and a cluster.
 
     python tools/scale/cost_model.py --cameras 60 --frames 18000 --size 3840 2160 --nodes 16 --cores 16
 
-The coefficients in tools/scale/costs.json were measured with tools/scale/measure_costs.py. The coefficients are CPU
-seconds of one core of the machine on which they were measured. For the stages import and mattes, the coefficients are
-constants in fourd.pipeline.plan. For other machines, use --speed: if a core is twice as fast, pass --speed 2. Pass the
-price of one hour of a node with --price.
+The coefficients in tools/scale/costs.json were measured with tools/scale/measure_costs.py; those of the stages import
+and mattes are constants in fourd.pipeline.plan. They are CPU seconds of one core of the machine on which they were
+measured. Use --speed for other machines: if their cores are twice as fast, pass --speed 2. Use --price to pass the
+hourly price of a node.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ COSTS = Path(__file__).with_name("costs.json")
 
 @dataclass(frozen=True)
 class Costs:
-    """Coefficients of the cost model. Times are CPU seconds of one core. In the names, ``point`` means one point of one
-    frame, and ``colour`` means the colour that one training camera gives to one point.
+    """Coefficients of the cost model. Times are CPU seconds of one core. In the names, ``point`` means one point in one
+    frame, and ``colour`` means the colour of such a point in one training camera.
 
     Attributes:
-        stage_start_s: start of the process of a stage.
+        stage_start_s: start of a stage's process.
         decode_s_per_mp: decoding the frames of a video in order, per megapixel.
         seek_s_per_mp: decoding random frames of a video with a key frame every 60 frames, per megapixel.
-        train_start_s: start of a training, and its first checkpoint.
+        train_start_s: start of a training run, and its first checkpoint.
     """
 
     stage_start_s: float
@@ -73,10 +73,10 @@ class Capture:
         cameras: number of cameras.
         frames: number of frames of each camera.
         image_mp: size of an image in megapixels.
-        video_mbits: megabits per second of each video.
+        video_mbits: data rate of each video in megabits per second.
         fps: frames per second.
         has_mattes: whether the capture has mattes.
-        has_videos: whether the capture is imported from videos. If false, the capture has image files.
+        has_videos: whether the capture is imported from videos, instead of having image files.
         scale: scale of the images in training.
         points: number of points per frame.
         segment: maximum number of frames of a segment.
@@ -102,8 +102,8 @@ class Capture:
 
     @property
     def decoded_mp(self) -> float:
-        """Return the megapixels that are decoded in each training step. Image files count as 0, because decoding them
-        costs little. Images that fit into the cache of decoded images also count as 0."""
+        """Megapixels of video that are decoded in each training step. This is 0 for image files, which are cheap to
+        decode, and for videos whose images fit into the cache of decoded images."""
         image_bytes = BYTES_PER_PIXEL * 1e6 * self.image_mp * self.scale**2
         fits = self.segment * self.cameras * image_bytes <= TrainConfig().memory_mb * 2**20
         return 0.0 if fits or not self.has_videos else (1 + ModelConfig().neighbours) * self.image_mp
@@ -121,8 +121,8 @@ class Machines:
     Attributes:
         nodes: number of nodes.
         cores: number of cores per node, as Ray counts them.
-        real_cores: number of physical cores of the machine if one machine simulates all nodes. None if each node is a
-            separate machine.
+        real_cores: number of physical cores if one machine simulates all nodes, or None if each node is a separate
+            machine.
         speed: speed of a core, relative to a core of the machine on which the coefficients were measured.
     """
 
@@ -133,12 +133,12 @@ class Machines:
 
     @property
     def total_cores(self) -> float:
-        """Number of physical cores of all nodes together."""
+        """Number of physical cores in all nodes together."""
         return min(self.nodes * self.cores, self.real_cores or float("inf"))
 
     @property
     def node_cores(self) -> float:
-        """Number of physical cores of one node."""
+        """Number of physical cores in one node."""
         return min(self.cores, self.real_cores or float("inf"))
 
 
@@ -149,7 +149,7 @@ class StageCost:
     Attributes:
         name: name of the stage.
         core_s: CPU seconds of one core.
-        wall_s: duration on the cluster.
+        wall_s: duration on the cluster in seconds.
         read_bytes: bytes that the stage reads from the shared storage.
         written_bytes: bytes that the stage writes to the shared storage.
     """
@@ -162,7 +162,7 @@ class StageCost:
 
 
 def predict(costs: Costs, capture: Capture, machines: Machines) -> tuple[StageCost, ...]:
-    """The cost of each stage, in the order in which the stages run."""
+    """Return the cost of each stage, in the order in which the stages run."""
     images = capture.cameras * capture.frames
     whole_mp = images * capture.image_mp
     videos = capture.cameras * capture.frames / capture.fps * capture.video_mbits * 1e6 / 8
@@ -184,7 +184,7 @@ def predict(costs: Costs, capture: Capture, machines: Machines) -> tuple[StageCo
 
     sampled_mp = min(SAMPLED_FRAMES, capture.frames) * capture.cameras * capture.image_mp
     if capture.has_videos:
-        # An imported capture contains only links to the videos, so no video data is copied.
+        # No bytes are written, because an imported capture contains only links to the videos.
         add("import", IMPORT_S_PER_MP * sampled_mp, 1, videos, 0)
     if not capture.has_mattes:
         add("mattes", MATTE_S_PER_MP * whole_mp, machines.node_cores, videos, mattes)
@@ -193,7 +193,7 @@ def predict(costs: Costs, capture: Capture, machines: Machines) -> tuple[StageCo
     slots = machines.nodes * machines.cores
     segments = [core_s / machines.speed for core_s in segments_core_s(costs, capture, slots)]
     wall_s = makespan(segments, slots, machines.total_cores)
-    # Segments share frames with their neighbours, so the sum of their lengths is larger than the number of frames.
+    # Segments share frames with their neighbours, so these frames are read more than once.
     repeated = sum(lengths) / capture.frames
     read = (videos + mattes + hull) * repeated
     stages.append(StageCost("training", sum(segments), wall_s, read, sum(checkpoints)))
@@ -203,14 +203,14 @@ def predict(costs: Costs, capture: Capture, machines: Machines) -> tuple[StageCo
 
 
 def segments_core_s(costs: Costs, capture: Capture, slots: int) -> list[float]:
-    """CPU seconds to train each segment, if the segments are trained by ``slots`` processes with one core each. The
-    first segment of a process also needs the time to start the process."""
+    """Return the CPU seconds to train each segment, if ``slots`` processes with one core each train the segments. The
+    first segment of a process includes the time to start the process."""
     core_s, count = segment_core_s(costs, capture), len(capture.segments)
     return [core_s + costs.stage_start_s if index < slots else core_s for index in range(count)]
 
 
 def segment_core_s(costs: Costs, capture: Capture) -> float:
-    """CPU seconds to train one segment with one core, in a process that runs already."""
+    """Return the CPU seconds to train one segment on one core, without the time to start the process."""
     step = (
         costs.step_s
         + costs.step_s_per_point * capture.points
@@ -259,7 +259,7 @@ def main() -> None:
 
 
 def table(stages: Sequence[StageCost], machines: Machines, price: float | None) -> str:
-    """A table in Markdown. ``price`` is the price of one hour of a node, or None."""
+    """Return a Markdown table. ``price`` is the hourly price of a node, or None."""
     lines = ["| stage | core hours | hours | share of time | read, GB | written, GB |", "|---|---|---|---|---|---|"]
     total = StageCost(
         "all",

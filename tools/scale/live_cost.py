@@ -1,14 +1,14 @@
-"""Measure how much a page that watches a run slows down the training.
+"""Measure how much the web page of a run slows down training while it is open.
 
     python tools/scale/live_cost.py CAPTURE --windows 12 --seconds 20 -- --scale 0.5 --points 12000
 
 The program trains CAPTURE with the options after `--`, and starts `fourd serve` for the run. The training time is
 divided into --windows pairs of time windows of --seconds seconds each. In one window of each pair, the program sends
-requests to the server as often as the page would. In the other window, the server's process is stopped (SIGSTOP). The
-program prints the ratios of the training speeds in the two windows of a pair, in two units: steps per second of
-training time, and steps per second of the training's CPU time. CPU time depends less on other programs. With --browser,
-Chromium shows the page on the same machine in one window of each pair, and an empty page in the other window. With
---scene, the tab with the scene is also open.
+requests to the server as often as an open page would. In the other, the server process is stopped (SIGSTOP). The
+program prints the ratio of the training speeds with and without the page, in two units: steps per second of training
+time, and steps per second of CPU time, which depends less on other programs. With --browser, Chromium sends the
+requests instead: it shows the page in one window of each pair, and an empty page in the other. With --scene, the
+scene's data is requested too or, with --browser, the tab with the scene is open.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from tools.scale.local_nodes import cpu_seconds
 PAGE_SECONDS = 2.0
 """Interval in seconds between the page's requests."""
 SETTLE_SECONDS = 3.0
-"""Time between the start of a window and the start of its measurement."""
+"""Seconds between the start of a window and the start of its measurement."""
 
 
 def main() -> None:
@@ -65,8 +65,8 @@ def measure(run: Path, processes: tuple[int, int], watch: Callable[[bool], None]
 
     Args:
         run: the run's folder.
-        processes: the process ids of the training and of the server.
-        watch: function that starts watching (True) or stops watching (False).
+        processes: the process ids of the training run and of the server.
+        watch: function that opens (True) or closes (False) the page, or starts and stops its requests.
         windows: number of pairs of windows.
         seconds: length of a window.
     """
@@ -101,7 +101,7 @@ def measure(run: Path, processes: tuple[int, int], watch: Callable[[bool], None]
 
 @contextmanager
 def training(capture: Path, run: Path, options: Sequence[str]) -> Iterator[int]:
-    """Train until the ``with`` block ends. The ``with`` block starts after 50 training steps. Yields the process id."""
+    """Start training, and yield its process id after 50 steps. Training ends together with the ``with`` block."""
     command = [sys.executable, "-m", "fourd.cli.main", "train", str(capture), "-o", str(run)]
     process = subprocess.Popen([*command, "--max-steps", "10000000", *options], stdout=sys.stderr)
     try:
@@ -111,7 +111,7 @@ def training(capture: Path, run: Path, options: Sequence[str]) -> Iterator[int]:
             time.sleep(0.5)
         yield process.pid
     finally:
-        process.terminate()  # SIGINT is ignored if a shell has started this program with &
+        process.terminate()  # sends SIGTERM, because SIGINT is ignored if a shell has started this program with &
         process.wait()
 
 
@@ -128,13 +128,13 @@ def serving(run: Path) -> Iterator[tuple[int, str]]:
         yield process.pid, match[0]
     finally:
         process.send_signal(signal.SIGCONT)
-        process.terminate()  # SIGINT is ignored if a shell has started this program with &
+        process.terminate()  # sends SIGTERM, because SIGINT is ignored if a shell has started this program with &
         process.wait()
 
 
 @contextmanager
 def asking(url: str, with_scene: bool) -> Iterator[Callable[[bool], None]]:
-    """Send the page's requests to the server. The yielded function starts and stops the requests."""
+    """Yield a function that starts and stops sending the page's requests to the server."""
     is_asking, ended = threading.Event(), threading.Event()
     threading.Thread(target=ask, args=(url, with_scene, is_asking, ended), daemon=True).start()
     yield lambda watched: is_asking.set() if watched else is_asking.clear()
@@ -158,7 +158,7 @@ def ask(url: str, with_scene: bool, is_asking: threading.Event, ended: threading
 
 @contextmanager
 def browsing(url: str, with_scene: bool) -> Iterator[Callable[[bool], None]]:
-    """Start Chromium. The yielded function opens either the page of the run or an empty page."""
+    """Start Chromium. Yield a function that opens either the page of the run or an empty page."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
@@ -172,8 +172,7 @@ def browsing(url: str, with_scene: bool) -> Iterator[Callable[[bool], None]]:
 
 
 def next_record(run: Path) -> tuple[int, float]:
-    """Wait for the next record of a training step. Returns the record's step, and the record's training time in
-    seconds."""
+    """Wait until the log has a new record of a training step. Return its step and its training time in seconds."""
     with (run / "metrics.jsonl").open() as stream:
         stream.seek(0, os.SEEK_END)
         line = ""

@@ -1,4 +1,5 @@
-"""A Ray cluster of several nodes on this machine, for simulations and measurements. Each node has its own processes."""
+"""Starts a Ray cluster of several nodes on this machine, for simulations and measurements. Each node has its own
+processes."""
 
 from __future__ import annotations
 
@@ -11,22 +12,22 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 STORE_BYTES = 80 << 20
-"""Size of the object store of each node. Ray needs at least 75 MB."""
+"""Size of each node's object store. Ray needs at least 75 MB."""
 TRAINED = "train "
 """Prefix of the names of the stages that train segments."""
 PATIENT = 200
 """Value of ``patience`` in :func:`local_nodes` for clusters from which no node is removed."""
 TITLE = "ray::"
-"""Prefix of the titles of the processes of a node."""
+"""Prefix of the process titles of Ray's workers."""
 OTHER_TITLES = ("IDLE", "DashboardAgent", "RuntimeEnvAgent")
-"""Prefixes of the titles of processes that run no stage, such as the agents of a node. A node ends when its agents
-end."""
+"""Prefixes, after TITLE, of the titles of processes that run no stage: idle workers and a node's agents. Killing an
+agent would end its node."""
 ATTEMPTS = 5
 """Maximum number of attempts to start a node."""
 
 
 class LocalNodes:
-    """The nodes of a cluster, apart from the head node. The head node has no core, so that it runs no stages."""
+    """The nodes of a cluster, except for the head node, which has no cores and so runs no stages."""
 
     def __init__(self, cluster: Any, cores: int) -> None:
         """Use ``cluster``, a ray.cluster_utils.Cluster. Each node has ``cores`` cores."""
@@ -39,8 +40,7 @@ class LocalNodes:
         return str(self._cluster.address)
 
     def add(self) -> None:
-        """Start one more node. If the processes of the node do not answer in time, because the machine is busy, the
-        start is repeated."""
+        """Start one more node. On a busy machine, its processes may not answer in time; the start is then repeated."""
         for attempt in range(ATTEMPTS):
             try:
                 self._cluster.add_node(num_cpus=self._cores, object_store_memory=STORE_BYTES, include_dashboard=False)
@@ -54,7 +54,7 @@ class LocalNodes:
         self._cluster.remove_node(sorted(self._cluster.worker_nodes, key=id)[index], allow_graceful=False)
 
     def busy(self) -> list[int]:
-        """Indices of the nodes that run a stage, for :meth:`remove`. Needs Linux."""
+        """Return the indices, for :meth:`remove`, of the nodes that run a stage. Needs Linux."""
         raylets = [self._raylet(node) for node in sorted(self._cluster.worker_nodes, key=id)]
         running = {parent for _, parent in self._running().values()}
         return [index for index, raylet in enumerate(raylets) if raylet in running]
@@ -65,16 +65,17 @@ class LocalNodes:
 
     @staticmethod
     def _raylet(node: Any) -> int:
-        """Process id of the main process of a node."""
+        """Return the process id of a node's main process."""
         return int(node.all_processes["raylet"][0].process.pid)
 
     def _running(self) -> dict[int, tuple[str, int]]:
-        """Process id of each running stage -> the stage's name, and the id of the main process of its node."""
+        """Return a mapping from the process id of each running stage to the stage's name and its parent process, which
+        is its node's main process."""
         raylets = {self._raylet(node) for node in self._cluster.worker_nodes}
         found = {}
         for folder in Path("/proc").glob("[0-9]*"):
             try:
-                # Ray changes the title of a worker to the name of its task.
+                # Ray sets a worker's process title to the name of its task.
                 title = (folder / "cmdline").read_bytes().split(b"\0")[0].decode(errors="replace")
                 parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
             except OSError:  # The process has ended.
@@ -85,7 +86,7 @@ class LocalNodes:
         return found
 
     def count(self) -> int:
-        """Number of nodes."""
+        """Return the number of nodes."""
         return len(self._cluster.worker_nodes)
 
 
@@ -93,11 +94,11 @@ class LocalNodes:
 def local_nodes(count: int, cores: int, *, patience: int = 5) -> Iterator[LocalNodes]:
     """Start a cluster of ``count`` nodes with ``cores`` cores each for the duration of the ``with`` block.
 
-    Ray asks each node every three seconds whether it is alive. A node that gives no answer ``patience`` times in
-    succession counts as lost. On a busy machine, a running node may not answer for half a minute.
+    Ray checks every three seconds if each node is alive. A node that gives no answer ``patience`` times in succession
+    counts as lost. Use a large ``patience`` on a busy machine, where a running node may not answer for half a minute.
 
-    The nodes may have more cores than the machine. Ray then runs as many tasks as the nodes have cores, and the tasks
-    share the machine's cores.
+    The nodes may have more cores in total than the machine. In that case, Ray runs one task per core of the nodes, and
+    the tasks share the machine's cores.
     """
     from ray._private.utils import get_ray_address_file
     from ray.cluster_utils import Cluster
@@ -112,8 +113,7 @@ def local_nodes(count: int, cores: int, *, patience: int = 5) -> Iterator[LocalN
     }
     cluster = Cluster(initialize_head=True, head_node_args=head)
     try:
-        # The address file is removed, because programs that use "--ray auto" on this machine would otherwise join this
-        # cluster.
+        # Without the address file, programs that use "--ray auto" on this machine do not join this cluster.
         Path(get_ray_address_file(None)).unlink(missing_ok=True)
         nodes = LocalNodes(cluster, cores)
         for _ in range(count):
@@ -132,13 +132,13 @@ def store_bytes(ray: Any) -> int:
 
 
 def cpu_seconds(process: int) -> float:
-    """CPU time of a process and its threads. Needs Linux."""
+    """Return the CPU time of a process, including all its threads. Needs Linux."""
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def resident_bytes() -> int:
-    """Return the memory of this process. Needs Linux."""
+    """Return the resident memory of this process in bytes. Needs Linux."""
     if sys.platform != "linux":
         sys.exit("expected Linux, whose /proc has the memory of this process")
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

@@ -2,8 +2,8 @@
 
     python tools/scale/measure_costs.py CAPTURE -o tools/scale/costs.json
 
-CAPTURE has image files and masks. Each stage runs several times on one core, with different numbers of frames, cameras,
-pixels and points. The coefficients are fitted to CPU seconds, which depend little on other programs. The fit is
+CAPTURE must have image files and masks. Each stage runs several times on one core, with different numbers of frames,
+cameras, pixels and points. The coefficients are fitted to CPU seconds, which depend little on other programs, by
 non-negative least squares on the relative errors. The program prints the largest relative error of each fit.
 """
 
@@ -43,15 +43,15 @@ from tools.scale.cost_model import Costs
 VIDEO_SIZE = (3840, 2160)
 VIDEO_FRAMES = 60
 STEPS = (20, 140)
-"""Number of steps at which the training stops first, and number of steps at which the resumed training stops. The time
-of one step is computed from the CPU seconds of the two parts."""
+"""Steps at which training stops first, and after it is resumed. The time of one step is computed from the CPU seconds
+before and after the interruption."""
 START = "import fourd.pipeline.graph"
-"""The imports that the process of a stage runs before the stage starts its work."""
+"""The imports that a stage's process runs before the stage starts its work."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """Number of frames, number of cameras, scale of the images, and number of points of a run."""
+    """A run's number of frames, number of cameras, image scale and number of points."""
 
     frames: int
     cameras: int
@@ -90,7 +90,7 @@ def main() -> None:
     arguments = parser.parse_args()
     capture = arguments.capture.resolve()
     with tempfile.TemporaryDirectory() as folder:
-        # The first training of a process also compiles kernels and fills caches, so its costs are not used.
+        # The first training run in a process also compiles kernels and fills caches, so its costs are not used.
         measure(capture, Path(folder) / "warm up", CASES[0])
         measured = [measure(capture, Path(folder) / str(index), case) for index, case in enumerate(CASES)]
         costs = fit(measured, cpu_seconds(lambda: subprocess.run([sys.executable, "-c", START], check=True)))
@@ -101,8 +101,8 @@ def main() -> None:
 
 
 def measure_decoding(capture: Path, copy: Path) -> tuple[float, float]:
-    """Return the CPU seconds to decode a megapixel of a video, once for frames in order and once for frames in random
-    order. The video shows resized images of the capture."""
+    """Return the CPU seconds per megapixel to decode video frames in order, and in random order. The video shows
+    resized images of the capture."""
     cv2.setNumThreads(1)
     paths = sorted((capture / "images").glob("*/*"))[:8]
     pictures = [cv2.cvtColor(cv2.resize(cv2.imread(str(path)), VIDEO_SIZE), cv2.COLOR_BGR2RGB) for path in paths]
@@ -122,14 +122,14 @@ def measure_decoding(capture: Path, copy: Path) -> tuple[float, float]:
 
 
 def matte_bytes_per_mp(capture: Path) -> float:
-    """Return the number of bytes of the masks per megapixel."""
+    """Return the size of the mask files in bytes per megapixel."""
     with open_capture(capture) as opened:
         megapixels = opened.frame_count * sum(camera.width * camera.height for camera in opened.cameras) / 1e6
     return bytes_in(capture / "masks") / megapixels
 
 
 def measure(capture: Path, run: Path, case: Case) -> Measured:
-    """Carve, train twice and bake a run."""
+    """Carve a run, train it in two parts and bake it."""
     with open_capture(capture) as opened:
         views, whole = tuple(opened.names[: case.cameras]), opened.cameras[0]
     config = TrainConfig(
@@ -141,7 +141,8 @@ def measure(capture: Path, run: Path, case: Case) -> Measured:
     for steps in STEPS:
         longer = replace(config, max_steps=steps)
         seconds.append(cpu_seconds(lambda longer=longer: train_stage(files, longer).run(Context())))
-    # The second training resumes the first, so it runs only the missing steps.
+    # The first part runs STEPS[0] steps, and the second one, which resumes it, the other STEPS[1] - STEPS[0] steps. The
+    # time to start training is the same in both, so it cancels out in the difference.
     step_s = max(seconds[1] - seconds[0], 0) / (STEPS[1] - 2 * STEPS[0])
     scene = run / "scene.4dv"
     bake_s = cpu_seconds(lambda: bake_stage(BakeFiles(run, scene), BakeSettings()).run(Context()))
@@ -161,7 +162,7 @@ def measure(capture: Path, run: Path, case: Case) -> Measured:
 
 
 def fit(measured: Sequence[Measured], start_s: float) -> dict[str, float]:
-    """Coefficients of :class:`~tools.scale.cost_model.Costs`."""
+    """Fit the coefficients of :class:`~tools.scale.cost_model.Costs`."""
     cases = [item.case for item in measured]
     frame_points = [case.frames * case.points for case in cases]
     carve = _fit(
@@ -207,11 +208,11 @@ def fit(measured: Sequence[Measured], start_s: float) -> dict[str, float]:
 
 
 def _fit(what: str, features: Sequence[Sequence[float]], values: Sequence[float]) -> list[float]:
-    """Approximate the values by a linear combination of the features with non-negative coefficients. Return the
-    coefficients with the smallest sum of squared relative errors."""
+    """Fit a linear combination of the features to the values, with non-negative coefficients. Return the coefficients
+    with the smallest sum of squared relative errors."""
     matrix, target = np.array(features, float), np.array(values, float)
     scaled = matrix / target[:, None]  # After this division, the residuals are relative errors.
-    # The features differ by orders of magnitude, so each column is divided by its largest value.
+    # Each column is divided by its largest absolute value, because the features differ by orders of magnitude.
     sizes = np.abs(scaled).max(axis=0)
     found = nnls(scaled / sizes, np.ones(len(target)))[0] / sizes
     errors = matrix @ found / target - 1
@@ -220,7 +221,7 @@ def _fit(what: str, features: Sequence[Sequence[float]], values: Sequence[float]
 
 
 def cpu_seconds(work: Callable[[], object]) -> float:
-    """CPU seconds of this process and of its child processes while ``work`` runs."""
+    """Return the CPU seconds that this process and its child processes spend in ``work``."""
 
     def spent() -> float:
         children = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -232,7 +233,7 @@ def cpu_seconds(work: Callable[[], object]) -> float:
 
 
 def bytes_in(folder: Path) -> int:
-    """Total size in bytes of all files below a folder."""
+    """Return the total size in bytes of all files below a folder."""
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 

@@ -1,17 +1,17 @@
-"""Measure how long the training of a capture's segments takes with different numbers of workers, and compare the
-durations with the cost model.
+"""Measure how long it takes different numbers of workers to train a capture's segments, and compare the durations with
+the cost model.
 
     fourd synth CAPTURE --frames 240 --cameras 8 --size 96
     python tools/scale/measure_workers.py CAPTURE --workers 1 2 4 --rounds 3 \\
         --segment 48 --points 2000 --steps 300
 
-A worker is one core of a Ray node on this machine. The number of workers can exceed the number of the machine's cores.
-The stages before training run once. Then, in each round and for each number of workers, ``fourd make --ray`` trains all
+A worker is one core of a Ray node on this machine. There can be more workers than the machine has cores. The stages
+before training run only once. After them, in each round and for each number of workers, ``fourd make --ray`` trains all
 segments of a new run.
 
-Durations are measured from the start of the first segment to the end of the last segment. Other programs on the machine
-change the durations, but hardly the CPU seconds. The column "on whole cores" is computed from the CPU seconds of the
-segments: it estimates the duration on a machine that runs no other programs. Needs Linux.
+Durations are measured from the start of the first segment to the end of the last. Other programs on the machine change
+the durations, but hardly the CPU seconds. The column "on whole cores" is therefore computed from the CPU seconds of the
+segments, and estimates the duration on a machine that runs no other programs. Needs Linux.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ SAMPLED_S = 0.25
 
 @dataclass(frozen=True)
 class Timing:
-    """One training of all segments.
+    """The timing of one training run over all segments.
 
     Attributes:
         workers: number of workers.
@@ -59,8 +59,8 @@ class Timing:
 
 
 class SegmentClock:
-    """The CPU seconds of segments, read from the times of their processes. A process can train several segments, one
-    after another."""
+    """Measures the CPU seconds of segments from the CPU times of their processes. A process can train several segments,
+    one after another."""
 
     def __init__(self) -> None:
         self._segments: dict[str, float] = {}
@@ -68,12 +68,12 @@ class SegmentClock:
 
     @property
     def core_s(self) -> tuple[float, ...]:
-        """CPU seconds of each segment so far, in the order of the segments. The start of a process counts for its first
-        segment."""
+        """CPU seconds of each segment so far, in the order of the segments. The time to start a process counts towards
+        its first segment."""
         return tuple(self._segments[name] for name in sorted(self._segments))
 
     def read(self, nodes: LocalNodes) -> None:
-        """Add the CPU seconds since the last call to the segments that are in training now."""
+        """Add the CPU seconds spent since the last call to the segments that are being trained."""
         for pid, name in nodes.stages().items():
             if name.startswith(TRAINED):
                 with suppress(OSError):  # The process has ended.
@@ -129,9 +129,9 @@ def prepare(command: Sequence[str], folder: Path) -> None:
 
 
 def train(command: Sequence[str], prepared: Path, folder: Path, workers: int) -> Timing:
-    """Copy the prepared folder, and train all segments of the copy on a cluster with ``workers`` workers."""
+    """Copy the prepared folder to ``folder``, and train all segments there on a cluster with ``workers`` workers."""
     shutil.rmtree(folder, ignore_errors=True)
-    # The copy keeps the modification times of the files, because stages compare them.
+    # copy2 keeps modification times, which stages compare to find out if they must run again.
     shutil.copytree(prepared, folder, copy_function=shutil.copy2)
     clock = SegmentClock()
     start = end = 0.0
@@ -148,7 +148,7 @@ def train(command: Sequence[str], prepared: Path, folder: Path, workers: int) ->
 
 
 def report(timings: Sequence[Timing], capture: Capture) -> None:
-    """Print a table of the measured medians and of the cost model's predictions."""
+    """Print a table of the measured medians and the predictions of the cost model."""
     real = os.cpu_count() or 1
     print("| workers | CPU seconds of a segment | on whole cores, s | times the first | predicted, s | measured, s |")
     print("|---|---|---|---|---|---|")

@@ -1,13 +1,12 @@
-"""Kill workers and drivers of ``fourd make --ray`` at random moments, and compare the scenes.
+"""Kill workers and drivers of ``fourd make --ray`` at random times, and check that this does not change the scene.
 
     fourd synth CAPTURE --frames 84 --cameras 4 --size 48
     python tools/scale/random_kills.py CAPTURE --workers 20 --drivers 20 -- --segment 12 --points 500 --max-steps 20
 
-The command is repeated until all kills are done. Each kill sends the signal SIGKILL. If a worker (the process of a
-running stage) is killed, Ray starts the stage again. If the driver (the process of the command) is killed, the program
-starts the same command again at once. The cluster is one node with two cores on this machine. The exit code is 1 if a
-scene differs from the scene of the uninterrupted command, or if a segment that was finished before a kill was trained
-again.
+The command is repeated until all kills (SIGKILL) are done. If a worker (the process of a running stage) is killed, Ray
+starts the stage again. If the driver (the process of the command) is killed, the program starts the same command again
+at once. The cluster is one node with two cores on this machine. The exit code is 1 if a scene differs from the scene of
+the uninterrupted command, or if a segment that was finished before a kill was trained again.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ from tools.scale.local_nodes import PATIENT, TRAINED, LocalNodes, local_nodes
 CORES = 2
 KILLS_HELP = "mean number of kills in the time that the uninterrupted command needs (default 12)"
 KEPT = Path("random_kills_failed")
-"""Folder to which the results are copied if a scene is not as expected."""
+"""Folder to which the results are copied if a check fails."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ class Command:
         return self.folder / "scene.work"
 
     def start(self) -> subprocess.Popen[str]:
-        """Start the command, and append the command's output to a file."""
+        """Start the command, and append its output to a file."""
         words = [sys.executable, "-m", "fourd", "make", self.capture, "-o", self.scene, "--ray", self.address]
         self.folder.mkdir(exist_ok=True)
         with (self.folder / "output").open("a") as out:
@@ -70,8 +69,7 @@ class Command:
             sys.exit(f"exit code {process.returncode}\n{(self.folder / 'output').read_text()[-2000:]}")
 
     def finished_segments(self) -> dict[str, dict[str, int]]:
-        """Return a mapping from the names of the finished training stages to the time of the last change of each
-        checkpoint file."""
+        """Return, for each finished training stage, a mapping from its checkpoint files to their modification times."""
         record = self.work / "stages.json"
         names = json.loads(record.read_text()) if record.exists() else {}
         trained = [name for name in names if name.startswith(TRAINED) and not name.endswith(" started")]
@@ -114,11 +112,11 @@ def main() -> None:
 def run_with_kills(
     command: Command, nodes: LocalNodes, kinds: Sequence[str], killed: list[str], interval: Callable[[], float]
 ) -> list[str]:
-    """Run the command until it has succeeded. ``interval`` returns the number of seconds until the next process is
-    killed.
+    """Run the command until it has succeeded, and meanwhile kill processes.
 
-    ``kinds`` contains "worker" or "driver" for each kill. A description of each kill is appended to the list
-    ``killed``. Returns the names of the finished segments that were trained again.
+    ``kinds`` contains "worker" or "driver" for each kill, and ``interval`` returns the number of seconds until the next
+    one. A description of each kill is appended to the list ``killed``. Returns the names of the finished segments that
+    were trained again.
     """
     process, deadline = command.start(), time.monotonic() + interval()
     kept: dict[str, dict[str, int]] = {}
@@ -130,7 +128,8 @@ def run_with_kills(
         running = {pid: name for pid, name in nodes.stages().items() if victims.count(name) < RETRIES}
         if not running:
             continue
-        # A segment may finish at the moment at which its process is killed. Training such a segment again is no error.
+        # A segment whose process is killed below is dropped from ``kept``. If it has just finished, training it again
+        # is no error.
         kept = {**command.finished_segments(), **kept}
         pid, name = min(running.items(), key=lambda item: (victims.count(item[1]), item))
         if kinds[len(killed)] == "worker":

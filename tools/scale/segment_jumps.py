@@ -2,10 +2,9 @@
 
     python tools/scale/segment_jumps.py RUN SCENE.4dv
 
-A frame step is a number: the mean absolute difference between the images of two successive frames, averaged over the
-held-out cameras of the run. A frame step counts as a step between segments if it starts or ends at a frame that two
-segments share. The same steps are also measured in the captured images, because the subject does not move by the same
-amount in every frame.
+A frame step is the mean absolute difference between the images of two successive frames, averaged over the run's
+held-out cameras. It counts as a step between segments if at least one of the two frames is shared by two segments. The
+steps of the captured images are measured too, because the subject does not move by the same amount in every frame.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ def _steps(frame_images: Callable[[int], list[NDArray[np.float32]]], count: int)
 
 
 def _on_black(run: Run, index: int, frame: int) -> NDArray[np.float32]:
-    """The captured image, (H, W, 3) in [0, 1], multiplied by its matte."""
+    """Return the captured image, (H, W, 3) in [0, 1], multiplied by its matte."""
     matte = run.capture.mask(index, frame)[..., None] / np.float32(255)
     return np.asarray(run.capture.image(index, frame) * matte / 255, np.float32)
 

@@ -1,13 +1,13 @@
-"""Simulate ``fourd make --ray`` on a cluster of several nodes. Some nodes fail during the run.
+"""Simulate ``fourd make --ray`` on a cluster of several nodes, some of which fail during the run.
 
     python tools/scale/simulate_cluster.py --nodes 16 --failures 8
     python tools/scale/simulate_cluster.py --nodes 2 --frames 18000 --seconds 0.2
 
-The simulated stages only wait (:mod:`tools.scale.simulated_stages`). The stage graph, the runner, the tasks and the
+The simulated stages only wait (:mod:`tools.scale.simulated_stages`), but the stage graph, the runner, the tasks and the
 retries are the same as in ``fourd make``. Each simulated node consists of the processes of a real Ray node. A failure
-kills all processes of a random node and adds a new node. The program compares the scene with the scene of an
-uninterrupted run without a cluster. The program also counts the units that were lost and repeated, and watches the
-memory and the progress bar.
+kills all processes of a random node and adds a new node. The program compares the scene with that of an uninterrupted
+run without a cluster. It also counts the units of work that were lost and repeated, and monitors memory and the
+progress bar.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from tools.scale.simulated_stages import Simulation, UnitCounts
 
 MEGABYTE = 1 << 20
 BAR = re.compile(r"stages on the cluster[^\n]*?(\d+)/(\d+)")
-"""Pattern of the progress bar's text, with the number of finished stages and the number of all stages as groups."""
+"""Pattern of the progress bar's text. Its groups are the number of finished stages and the number of all stages."""
 
 
 @dataclass
@@ -49,7 +49,7 @@ class Watched:
     Attributes:
         seconds: duration of the run.
         failures: number of nodes that failed.
-        samples: memory of the driver and bytes in all object stores, about once per second.
+        samples: memory of the driver and of all object stores in bytes, about once per second.
     """
 
     seconds: float = 0.0
@@ -85,7 +85,7 @@ def main() -> None:
 
 
 def report(simulation: Simulation, expected: str, watched: Watched, nodes: int) -> None:
-    """Print the durations, whether the scene is as expected, and the number of repeated units."""
+    """Print the durations, the result of the scene comparison, and the numbers of lost and repeated units."""
     counts = simulation.counts()
     segments = {name: found for name, found in counts.items() if name.startswith(TRAINED)}
     others = {name: found for name, found in counts.items() if name not in segments}
@@ -114,7 +114,7 @@ def _sum(counts: Iterable[UnitCounts]) -> UnitCounts:
 
 
 def report_memory(samples: list[tuple[int, int]]) -> None:
-    """Print the largest memory of the driver and of the object stores in each tenth of the run."""
+    """Print the largest memory use of the driver and of the object stores in each tenth of the run."""
     tenths = [samples[len(samples) * part // 10 : len(samples) * (part + 1) // 10] for part in range(10)]
     for name, place, unit in (("driver, MB", 0, MEGABYTE), ("object stores, kB", 1, 1024)):
         largest = [f"{max(sample[place] for sample in tenth) / unit:.0f}" for tenth in tenths if tenth]
@@ -122,7 +122,7 @@ def report_memory(samples: list[tuple[int, int]]) -> None:
 
 
 def report_bar(text: str) -> None:
-    """Print whether the progress bar of the segments never moved backwards, and whether it ended at its full length."""
+    """Print the states of the segments' progress bar. Exit if it moved backwards or did not end at its full length."""
     shown = [(int(done), int(count)) for done, count in BAR.findall(text)]
     steady = all(before <= after for (before, _), (after, _) in itertools.pairwise(shown))
     whole = bool(shown) and shown[-1][0] == shown[-1][1]
@@ -132,7 +132,7 @@ def report_bar(text: str) -> None:
 
 
 def _expected_scene(simulation: Simulation) -> str:
-    """Run the simulation in this process, without waiting in units, and return its scene."""
+    """Run the simulation in this process, with units that do not wait, and return its scene."""
     here = replace(simulation, folder=simulation.folder.with_name("here"), seconds=0.0)
     shutil.copytree(simulation.folder, here.folder)
     here.run(Runner(Context(), here.folder / "stages.json"))
@@ -140,8 +140,8 @@ def _expected_scene(simulation: Simulation) -> str:
 
 
 def run_watched(run: Callable[[], None], nodes: LocalNodes, arguments: argparse.Namespace) -> Watched:
-    """Call ``run`` in a thread. Meanwhile, the main thread measures and replaces nodes, because Ray can start nodes
-    only in the main thread."""
+    """Call ``run`` in a thread, and meanwhile measure and replace nodes in the main thread, which is the only thread in
+    which Ray can start nodes."""
     import grpc
     import ray
 
@@ -151,7 +151,7 @@ def run_watched(run: Callable[[], None], nodes: LocalNodes, arguments: argparse.
         running = pool.submit(run)
         failure = start + rng.uniform(0.5, 1.5) * arguments.interval
         while not wait([running], timeout=1.0).done:
-            # If Ray asks a node that was just killed, an error is raised and this sample is skipped.
+            # This sample is skipped if Ray queries a node that was just killed, because the query then raises an error.
             with suppress(grpc.RpcError):
                 watched.samples.append((resident_bytes(), store_bytes(ray)))
             if watched.failures < arguments.failures and time.monotonic() > failure:

@@ -1,11 +1,11 @@
-"""Stages of ``fourd make`` whose work is replaced by waiting, for simulations of clusters and captures that are larger
-than the machine.
+"""Replaces the work of the stages of ``fourd make`` by waiting, to simulate clusters and captures that are too large
+for the machine.
 
 The stage graph, the runner and its record of finished stages, and the tasks of the cluster are the same as in ``fourd
-make``. The work of a stage is a number of units. A unit stands for the work between two checkpoints: the stage waits,
-and then records the unit in a file. A repeated stage continues after the last recorded unit. The output of a stage is a
-hash of its name, its units and the outputs of the earlier stages. The bytes of the scene are therefore as expected only
-if each stage read complete outputs of the earlier stages.
+make``. The work of a stage consists of units. A unit stands for the work between two checkpoints: the stage waits, and
+then records the unit in a file. A repeated stage continues after the last recorded unit. The output of a stage is a
+hash of its name, its number of units and the outputs of the earlier stages, so the scene is as expected only if each
+stage has read complete outputs.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from tools.long_set import write_video
 from tools.scale.simulated_work import STARTED, SimulatedFiles, SimulatedSettings, work
 
 SIZE = 32
-"""Side of the images of the capture in pixels. The images are small, because the simulated stages do not read them."""
+"""Side of the captured images in pixels. They are small, because the simulated stages do not read them."""
 
 
 @dataclass(frozen=True)
 class UnitCounts:
-    """Counts of what happened to the units of one or more stages.
+    """Counts how often the units of one or more stages were executed.
 
     Attributes:
-        units: number of units of the stages.
-        lost: number of executions of units that were cut off because the process was killed.
-        repeated: number of executions of units, not counting the first execution of each unit.
-        redone: number of executions of units that were unnecessary, because an earlier execution had finished the unit.
+        units: number of units.
+        lost: number of executions that were interrupted because the process was killed.
+        repeated: number of executions, not counting the first execution of each unit.
+        redone: number of unnecessary executions, for which an earlier execution had finished the unit.
     """
 
     units: int
@@ -63,8 +63,8 @@ class Simulation:
         cameras: number of cameras.
         frames: number of frames.
         segment: maximum number of frames of a segment.
-        units: number of units of each segment. Mattes and plates have one unit for each camera, and carving has one for
-            each segment. The other stages have one unit.
+        units: number of units to train a segment. The stages "mattes" and "plates" have one unit per camera, "carve"
+            has one per segment, and the other stages have a single unit.
         seconds: waiting time of a unit in seconds.
     """
 
@@ -93,8 +93,7 @@ class Simulation:
         write_calibration(self._capture, names, ring_cameras(self.cameras, SIZE))
 
     def groups(self) -> list[list[AnyStage]]:
-        """The stages of ``fourd make`` with simulated work, in the same groups in which ``fourd make`` runs its
-        stages."""
+        """Return the stages of ``fourd make`` with simulated work, in the groups in which ``fourd make`` runs them."""
         train = TrainConfig(segments=SegmentConfig(frames=self.segment))
         request = RunRequest(self._capture, self.folder / "run", train)
         imported = stages_to_capture(self.folder / "videos", self._capture, ImportOptions())
@@ -104,18 +103,18 @@ class Simulation:
         return [self._simulated(stages, before) for stages in (imported, checked, scene)]
 
     def run(self, runner: Runner) -> None:
-        """Run all stages in the locked folder of the outputs, as ``fourd make`` does."""
+        """Lock the output folder and run all stages in it, as ``fourd make`` does."""
         self.outputs.mkdir(parents=True, exist_ok=True)
         with locked_folder(self.outputs):
             for group in self.groups():
                 runner.run(group)
 
     def started_units(self) -> int:
-        """Return the number of units that were started. A unit that was lost and repeated counts twice."""
+        """Return the number of times that units were started. A unit that was lost and repeated counts twice."""
         return sum(counts.units + counts.repeated for counts in self.counts().values())
 
     def counts(self) -> dict[str, UnitCounts]:
-        """Return the counts of the units of each stage, by the name of the stage."""
+        """Return the unit counts of each stage, by stage name."""
         stages = [stage for group in self.groups() for stage in group]
         return {stage.name: _count(stage.files.log, stage.settings.units) for stage in stages}
 
@@ -124,8 +123,8 @@ class Simulation:
         return self.folder / "capture"
 
     def _simulated(self, stages: Sequence[AnyStage], before: list[str]) -> list[AnyStage]:
-        """Replace the work of the given stages by simulated work. A stage that runs alone reads the outputs of all
-        earlier stages. The training of a segment reads only the outputs of the stages on which it depends."""
+        """Replace the work of the given stages by simulated work. Segment training reads only the outputs of the stages
+        on which it depends; the other stages read the outputs of all earlier stages."""
         simulated = []
         for stage in stages:
             inputs = stage.after if stage.is_parallel else tuple(before)

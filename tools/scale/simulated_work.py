@@ -1,5 +1,5 @@
-"""The work of a simulated stage. It consists of units, and each unit only waits. Workers of a cluster import this
-module, so the module itself imports only few modules."""
+"""Runs the work of a simulated stage, which consists of units that only wait. Because the workers of a cluster import
+this module, it imports only few others."""
 
 from __future__ import annotations
 
@@ -17,8 +17,13 @@ STARTED, FINISHED = "started", "finished"
 
 @dataclass(frozen=True)
 class SimulatedFiles:
-    """The files of a stage: the folder with the outputs of all stages, the name of the stage, and the names of the
-    stages whose outputs the stage reads."""
+    """The files of a simulated stage.
+
+    Attributes:
+        folder: the folder with the outputs of all stages.
+        name: the name of the stage.
+        inputs: the names of the stages whose outputs it reads.
+    """
 
     folder: Path
     name: str
@@ -30,26 +35,26 @@ class SimulatedFiles:
 
     @property
     def log(self) -> Path:
-        """File with one line for each start and each end of a unit. Each line also contains the process id. A lost unit
-        is started again, so it has several lines for its starts."""
+        """Path of the log. Each start and each end of a unit adds one line with the process id. A lost unit is started
+        again, so it has several start lines."""
         return self.folder / f"{self.name}.log"
 
     @property
     def count(self) -> Path:
-        """The number of finished units."""
+        """Path of the file that contains the number of finished units."""
         return self.folder / f"{self.name}.count"
 
 
 @dataclass(frozen=True)
 class SimulatedSettings:
-    """Number of units, and waiting time of a unit in seconds."""
+    """The number of units of a stage, and the waiting time of each unit in seconds."""
 
     units: int
     seconds: float
 
 
 def work(files: SimulatedFiles, settings: SimulatedSettings, context: Context) -> None:
-    """Run all units that are not finished, and write the output."""
+    """Run all unfinished units, and write the output."""
     done = int(files.count.read_text()) if files.count.exists() else 0
     for unit in range(done, settings.units):
         _log(files.log, STARTED, unit)

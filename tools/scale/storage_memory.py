@@ -1,4 +1,4 @@
-"""Measure the peak memory of uploads and copies of files of several sizes, with a local S3 server in a separate
+"""Measure the peak memory of uploading and downloading files of several sizes. The S3 server is a separate local
 process.
 
 python tools/scale/storage_memory.py --megabytes 32 512
@@ -38,7 +38,7 @@ def main() -> None:
 
 
 def transfer(work: str, url: str, path: str) -> None:
-    """Upload or copy a file, and print the peak memory of this process in MB."""
+    """Upload or download a file, and print the peak memory of this process in MB."""
     if work == "upload":
         upload(Path(path), StorageUrl(url))
     else:

@@ -1,5 +1,5 @@
-"""Fuzz the kernel functions that Python can call, with libFuzzer, AddressSanitizer and UndefinedBehaviorSanitizer. With
---threads, three Python threads call the functions at the same time with the stored inputs, under ThreadSanitizer.
+"""Fuzz the kernel functions that Python can call, with libFuzzer, AddressSanitizer and UndefinedBehaviorSanitizer. Use
+--threads to call the functions with the stored inputs from three concurrent Python threads, under ThreadSanitizer.
 
     python tools/security/fuzz_kernels.py --seconds 60
 
@@ -8,9 +8,9 @@
     python tools/security/fuzz_kernels.py --threads
 
 libFuzzer is a part of Clang (apt-get install clang). The first call builds csrc/fuzz, which takes some minutes. The
-corpus is in build/fuzz/kernels/ and grows with each run. If an input makes a function crash, hang or use 2 GB of
-memory, the input is written to the file build/fuzz/kernels-KIND-HASH. To repeat the failure, call
-build/fuzz-native/bindings with this file.
+corpus is in build/fuzz/kernels/ and grows with each run. An input that makes a function crash, hang or use 2 GB of
+memory is written to the file build/fuzz/kernels-KIND-HASH. To repeat the failure, call build/fuzz-native/bindings with
+this file.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from fourd.files import write_text_atomically
 
 ROOT = Path(__file__).resolve().parents[2]
 STORED = ROOT / "csrc" / "fuzz" / "corpus.txt"
-"""A small set of inputs that together reach all code that any earlier input has reached. Each line is one input in
-hexadecimal digits."""
+"""A small corpus with the same code coverage as all inputs found so far. Each line is one input in hexadecimal
+digits."""
 FOLDER = ROOT / "build" / "fuzz"
 COMPILERS = ("clang++", *(f"clang++-{version}" for version in range(24, 13, -1)))
 MAX_BYTES = 512
@@ -44,19 +44,19 @@ class Arguments:
     """Build the fuzzer and run it."""
 
     seconds: int = 60
-    """Fuzzing time in seconds. The time of the build is not included."""
+    """Fuzzing time in seconds, without the time of the build."""
     keep: bool = False
-    """After fuzzing, replace csrc/fuzz/corpus.txt by a small set of inputs that together reach all code that this run
-    has reached."""
+    """After fuzzing, replace csrc/fuzz/corpus.txt by a small corpus with the same code coverage as all inputs of this
+    run."""
     threads: bool = False
-    """Call the functions in three threads at the same time, with the stored inputs only. New inputs would need coverage
-    counters, and ThreadSanitizer would report these counters as data races."""
+    """Call the functions from three concurrent threads. Only the stored inputs are used, because libFuzzer needs
+    coverage counters to find new ones, and ThreadSanitizer would report these counters as data races."""
     optional: bool = False
-    """If there is no Clang, print a note and do not fail."""
+    """If Clang is not installed, print a note instead of failing."""
 
 
 def main(arguments: Arguments) -> int:
-    """Return the exit code: 0 if no input failed."""
+    """Build the fuzzer and run it. Return the exit code, which is 0 if no input failed."""
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
     if compiler is None:
         print("fuzz_kernels: expected clang++, got none, so no kernel was fuzzed; install clang", file=sys.stderr)
@@ -106,7 +106,7 @@ def fuzz(program: Path, words: Sequence[str]) -> int:
 
 
 def read_corpus(path: Path) -> list[bytes]:
-    """The inputs in a file with one input per line. Lines that start with # are comments."""
+    """Read the inputs from a file with one input per line. Lines that start with # are comments."""
     lines = path.read_text().splitlines() if path.exists() else []
     return [bytes.fromhex(line) for line in lines if not line.startswith("#")]
 

@@ -3,9 +3,9 @@
     .venv/bin/python tools/security/lock.py [UV]
 
 Run this program after the dependencies in pyproject.toml or constraints.txt have changed. UV is the path of the program
-uv (https://docs.astral.sh/uv). By default, uv is searched on PATH. torch is left out, because its builds for CPU and
-for CUDA are different files with the same version number. The CUDA packages are left out, because only the CUDA builds
-of torch need them.
+uv (https://docs.astral.sh/uv), which is searched on PATH by default. torch is left out, because its CPU and CUDA builds
+are different files with the same version number. The CUDA packages are left out, because only the CUDA builds of torch
+need them.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ PYTHON = "3.11"
 """The oldest Python version that pyproject.toml allows."""
 EXTRAS = ("train", "dev", "docs")
 BUILD = ("cmake", "ninja", "scikit-build-core", "nanobind")
-"""Packages that are needed to build the kernels. `make` installs these packages in the same environment."""
+"""Packages that are needed to build the kernels. `make` installs them in the same environment."""
 OF_TORCH = ("torch", "triton", "cuda-", "nvidia-")
-"""Packages that are left out. A text with a hyphen at the end is the beginning of several names; any other text is a
+"""Packages that are left out. A string that ends with a hyphen is a prefix of package names; any other string is a
 whole name."""
 HEADER = """\
 # All packages that `make` installs, except torch and the packages of CUDA, for all platforms and versions of Python.
@@ -44,7 +44,7 @@ def main() -> int:
 
 
 def without_torch(text: str) -> str:
-    """Return the lock without torch and the CUDA packages. In a lock, each package is one line, followed by indented
+    """Return the lock file's text without torch and the CUDA packages. Each package is one line, followed by indented
     lines with hashes."""
     kept, is_kept = [], True
     for line in text.splitlines(keepends=True):

@@ -1,4 +1,4 @@
-"""Generate docs/configuration.md from the config dataclasses: every key, its default and its docstring.
+"""Generate docs/configuration.md, which lists every key of the config dataclasses with its default and its docstring.
 
 python tools/site/configuration_page.py
 """

@@ -59,8 +59,8 @@ def cli_reference() -> str:
 
 
 def command_help(command: str | None = None) -> str:
-    """Return the output of ``fourd COMMAND --help``, or of ``fourd --help`` if ``command`` is None, without colours and
-    at a fixed width."""
+    """Return the output of ``fourd COMMAND --help``, or of ``fourd --help`` if ``command`` is None, at a fixed width
+    and without colours."""
     from fourd.cli.main import main
 
     printed = io.StringIO()
@@ -82,7 +82,7 @@ def repository_page(name: str) -> str:
     """Return a Markdown file from the top of the repository, with links made relative to docs/."""
     text = (ROOT / name).read_text(encoding="utf-8")
     text = re.sub(r"\]\(docs/", "](", text)
-    # Files outside docs/ are not part of the site, so links to such files are replaced by the plain name of the file.
+    # Links to files outside docs/, which are not part of the site, are replaced by their link text.
     return re.sub(r"\[([^\]]+)\]\((?!https?:|#)([^)#]+\.(?:py|yaml|toml|h|sh))\)", r"\1", text)
 
 

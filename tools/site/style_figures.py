@@ -1,5 +1,4 @@
-"""Make the figures of docs/guides/stylize.md that show different styles in the viewer's window, on the web page and on
-a mesh.
+"""Make the figures of docs/guides/stylize.md that show styles in the viewer's window, on the web page and on a mesh.
 
     python tools/site/style_figures.py SCENE.4dv MESH.glb
 
@@ -36,11 +35,11 @@ FIGURES = ROOT / "docs" / "figures"
 STYLES = ("toon", "gooch", "ink")
 WINDOW = (1120, 960)
 LINES_HEADING = (60, 514)
-"""Position, in pixels, of the heading "Lines" in the section "Style" of the panel."""
+"""Position in pixels of the heading "Lines" in the panel's section "Style"."""
 ZOOM_WHEEL_PX = -300
-"""Scroll distance of the mouse wheel on the web page. Scrolling moves the camera towards the subject."""
+"""Distance by which the mouse wheel is scrolled on the web page, to move the camera towards the subject."""
 WARM_UP_SECONDS = 8.0
-"""Seconds to wait before the screenshot, so that lines have their full strength."""
+"""Seconds to wait before the screenshot, until lines have their full strength."""
 
 
 @dataclass(frozen=True)
@@ -109,8 +108,8 @@ def _mesh(mesh: Path, folder: Path) -> NDArray[np.uint8]:
 
 
 def _content(picture: NDArray[np.uint8], margin_px: int = 24) -> tuple[int, int, int, int]:
-    """The bounds (top, bottom, left, right), including a margin, of the pixels that do not have the colour of the top
-    left pixel."""
+    """Return the bounds (top, bottom, left, right) of the pixels whose colour differs from the top left pixel, with a
+    margin."""
     differs = (picture != picture[0, 0]).any(axis=2)
     rows, columns = np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))
     top, left = max(rows[0] - margin_px, 0), max(columns[0] - margin_px, 0)

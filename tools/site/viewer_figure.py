@@ -22,7 +22,7 @@ from tests.viewer.screen import Viewer, screen  # noqa: E402
 SIZE = (1280, 760)
 BACKGROUND = ("0.12", "0.14", "0.17")
 WARM_UP_SECONDS = 8.0
-"""Seconds to wait before the screenshot, so that the timing plot is full."""
+"""Seconds to wait before the screenshot, until the timing plot is full."""
 
 
 def main(scene: str = "demo/scene.4dv", out: str = "docs/figures/viewer.png") -> None:

@@ -1,10 +1,10 @@
-"""Draw scenes in all preset styles: a contact sheet with one row for each scene, and a video in which the style
-changes.
+"""Draw scenes in all preset styles. The results are a contact sheet with one row per scene, and a video in which the
+style changes.
 
     python tools/styles/contact_sheet.py SHEET.jpg --scenes fox.4dv:03 full.4dv:09 --video styles.mp4
 
-Each scene is a `.4dv` file, a colon and the name of a camera. In the video, the camera circles the first scene while
-the scene plays.
+Pass each scene as a `.4dv` file, a colon and the name of a camera. In the video, the camera circles the first scene
+while it plays.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from fourd.viewer.output.video import write_video
 
 BACKGROUND = (0.93, 0.93, 0.93)
 STEADY_PICTURES = 12
-"""Before the picture for the sheet, this number of pictures is drawn from the same camera, so that lines reach their
-full strength.
+"""Number of images that are drawn from the same camera for each image on the sheet. Only the last one is kept, in which
+the lines have their full strength.
 """
 
 
@@ -46,7 +46,7 @@ class Arguments:
     size: tuple[int, int] = (300, 300)
     """Width and height of an image in pixels."""
     video: Path | None = None
-    """MP4 file."""
+    """MP4 file of the video. By default, no video is written."""
     seconds: float = 10.0
     """Duration of the video in seconds."""
     video_size: tuple[int, int] = (480, 360)

@@ -3,14 +3,14 @@
     python tools/styles/cost.py                      # 262,144 points at 1920 x 1080
     python tools/styles/cost.py scene.4dv --frame 3
 
-Each round draws one image without a style and one image in the style, from a static camera. All rounds of one style are
-run before the rounds of the next style. The data of the style therefore stay in the caches, as they do during playback.
-The program prints the median time of an image without a style. For each style, the program also prints
+Each round draws one image without a style and one image in the style, from a static camera. All rounds of one style run
+before those of the next, so that the style's data stay in the caches, as they do during playback. The program prints
+the median time of an image without a style and, for each style,
 
-- the median of the time that the style adds, over the rounds,
-- the median of the ratio of the times with and without the style, over the rounds,
+- the median time that the style adds,
+- the median ratio of the times with and without the style,
 - the time of the stylizer; the rest of the added time is spent on the depths and normals of the points,
-- the median of the CPU time that the style adds, summed over all threads. CPU time depends less on other programs.
+- the median CPU time that the style adds, summed over all threads; it depends less on other programs.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def main(arguments: Arguments) -> int:
     for name in arguments.styles:
         style, player = load_style(name), StyledPlayer()
         for index in range(arguments.rounds + 1):
-            if index < 2:  # the first round fills the caches, so its times are not used
+            if index < 2:  # drop the times of the first round, which fills the caches
                 plain[name], styled[name] = Times(), Times()
             plain[name].measure(lambda: plain_player.draw(frame, camera, manifest, threads=threads, out=picture))
             styled[name].measure(

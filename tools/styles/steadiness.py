@@ -5,11 +5,10 @@
     python tools/styles/steadiness.py fox.4dv --renderer sorted
 
 The meshes give the true depth and normal of each pixel. A pixel is unchanged over three successive frames if the true
-depth changes by at most 2% and the true normal by at most 15 degrees. This must also be true of all pixels within a
-distance of ``--reach`` pixels. An unchanged pixel is an edge pixel if it has a line in at least one of the three
-frames. An edge pixel flickers if its line is present only in the middle frame, or is missing only in the middle frame.
-Without meshes, the true depth and normals are replaced by the depth and normals that fourd draws without averaging over
-time.
+depth changes by at most 2% and the true normal by at most 15 degrees, at the pixel itself and at all pixels up to
+``--reach`` pixels away. An unchanged pixel is an edge pixel if it has a line in at least one of the three frames. An
+edge pixel flickers if its line is present only in the middle frame, or is missing only in the middle frame. If no
+meshes are given, the depth and normals that fourd draws without averaging over time serve as the true ones.
 """
 
 from __future__ import annotations
@@ -63,15 +62,14 @@ class Arguments:
     renderer: RendererName = "cpu"
     """The renderer that draws the lines."""
     size: tuple[int, int] = (960, 540)
-    """Width and height of the pictures in pixels."""
+    """Width and height of the images in pixels."""
     reach: int = 2
-    """Distance in pixels. A pixel is unchanged only if the true surface stays the same within this distance of the
-    pixel."""
+    """A pixel is unchanged only if the true surface stays the same within this distance, in pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The true surface of a picture: unit normals (H, W, 3), and inverse depth (H, W), which is 0 where there is no
+    """The true surface of an image: unit normals (H, W, 3), and inverse depth (H, W), which is 0 where there is no
     surface."""
 
     inverse_depth: NDArray[np.float32]
@@ -80,7 +78,7 @@ class Truth:
 
 @dataclass
 class Count:
-    """Number of edge pixels, and number of edge pixels that flicker."""
+    """The number of edge pixels, and how many of them flicker."""
 
     edges: int = 0
     flickering: int = 0
@@ -90,15 +88,15 @@ class Count:
         return 100 * self.flickering / max(self.edges, 1)
 
     def add(self, lines: list[NDArray[np.bool_]], is_still: NDArray[np.bool_]) -> None:
-        """Add the counts of three successive frames. ``lines`` are the line pixels of the frames, and ``is_still``
-        marks the unchanged pixels."""
+        """Add the counts of three successive frames, whose line pixels are ``lines``. ``is_still`` marks the unchanged
+        pixels."""
         before, now, after = lines
         self.edges += int((is_still & (before | now | after)).sum())
         self.flickering += int((is_still & (now != before) & (now != after)).sum())
 
 
 def main(arguments: Arguments) -> None:
-    """Print the share of flickering edge pixels of each style, with and without the style's averaging over time."""
+    """Print the percentage of edge pixels that flicker in each style, with and without its averaging over time."""
     scene = open_scene(arguments.scene)
     manifest = scene.manifest
     views = dict(zip(manifest.names, manifest.cameras, strict=True))
@@ -126,7 +124,7 @@ def main(arguments: Arguments) -> None:
 def measure_view(
     scene: Scene, arguments: Arguments, camera: Camera, styles: list[Style], context: moderngl.Context | None
 ) -> list[Count]:
-    """Count the edge pixels of each style in the pictures of one camera. ``context`` is None for the cpu renderer."""
+    """Count the edge pixels of each style in the images of one camera. ``context`` is None for the cpu renderer."""
     renderers = [make_renderer(arguments.renderer, context) for _ in styles]
     canvas = None if context is None else Canvas(context)
     history: list[list[NDArray[np.bool_]]] = [[] for _ in styles]
@@ -159,7 +157,7 @@ def _draw(renderer: Renderer, request: RenderRequest, canvas: Canvas | None) -> 
 
 @cache
 def _frame(scene: Scene, index: int) -> BakedFrame:
-    """A frame with normals."""
+    """Return a frame with normals, which are estimated if the scene has none."""
     frame = scene.frame(index)
     return frame if frame.normals is not None else add_normals(frame, scene.manifest)
 
@@ -178,8 +176,7 @@ def _truths(scene: Scene, meshes: Path | None, camera: Camera) -> Iterator[Truth
 
 
 def _normals_of_depth(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Return the unit normals of the surface that the depths describe. Next to pixels without a surface, the result is
-    0."""
+    """Compute unit normals from a depth map. Next to pixels without a surface, they are 0."""
     y, x = np.mgrid[: camera.height, : camera.width] + 0.5
     rays = np.stack([x, y, np.ones_like(x)], 2) @ np.linalg.inv(camera.intrinsics).T
     with np.errstate(invalid="ignore"):
@@ -190,8 +187,8 @@ def _normals_of_depth(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.
 
 
 def _is_same(first: Truth, second: Truth, reach: int) -> NDArray[np.bool_]:
-    """(H, W) bool, true for the pixels around which the true surface is the same in both frames, up to a distance of
-    ``reach`` pixels."""
+    """Return a mask (H, W) of the pixels around which, up to a distance of ``reach`` pixels, the true surface is the
+    same in both frames."""
     a, b = first.inverse_depth, second.inverse_depth
     has_depth = np.abs(a - b) <= SAME_DEPTH * np.maximum(a, b)
     cosine = (first.normal * second.normal).sum(2)

@@ -1,9 +1,10 @@
-"""Jump ratio of a run, and of the true images, on the same orbit around the subject of a synthetic capture.
+"""Compute the jump ratio of a run and of true images, on the same orbit around the subject of a synthetic capture.
 
 python tools/synthetic/true_jump.py demo/scene.work/run --images 240
 
-The value `jump` of tools/quality_table.py is above 1 even for true images, because neighbouring images differ more
-where the subject covers more pixels. The comparison shows which part of the value comes from the run.
+The jump ratio (the column `jump` of tools/quality_table.py) is above 1 even for true images, because neighbouring
+images
+differ more where the subject covers more pixels. Only what a run adds to the true ratio is an error of the run.
 """
 
 from __future__ import annotations

@@ -2,11 +2,11 @@
 
     python tools/web/compare_viewers.py scene.4dv --frame 12 -o build/viewers
 
-The program exports the frame as Gaussian splats (3DGS PLY). The program shows the exported file in Spark and in
+The program exports the frame as Gaussian splats (3DGS PLY). It shows the exported file in Spark and in
 supersplat-viewer (npm packages @sparkjsdev/spark and @playcanvas/supersplat-viewer), and the scene in <fourd-player>.
-All viewers show the frame from the last camera of the scene. The program writes the pictures of the viewers and the
-images of `fourd.baking.player.Player` as PNG files, and prints a Markdown table. The table shows how well the pictures
-agree with the images of `Player` (PSNR), and the images per second while the camera moves.
+All viewers show the frame from the last camera of the scene. The program writes their images and those of
+`fourd.baking.player.Player` as PNG files. It prints a Markdown table with the PSNR of each viewer's image relative to
+the images of `Player`, and with the images per second while the camera moves.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ PAGES = {
         ("playcanvas/build", "playcanvas/scripts", "@playcanvas/supersplat-viewer/dist"),
     ),
 }
-"""Name of each viewer of the exported file -> name of its page in this folder, and package folders that the page
-loads."""
+"""The viewers of the exported file, by name. Each has the name of its page in this folder, and the package folders that
+the page loads."""
 NEAR, FAR = 0.05, 50.0
 PATH_STEPS, STEP_DEGREES = 90, 0.5
 PLAYER = """
@@ -68,7 +68,7 @@ PLAYER = """
         return {draw, canvas: player.panel.canvas};
     })();
 """
-"""A script that gives a page with <fourd-player> the interface that loop.js describes."""
+"""A script that gives a page with <fourd-player> the interface documented in loop.js."""
 
 
 @dataclass(frozen=True)
@@ -78,11 +78,11 @@ class Arguments:
     scene: tyro.conf.Positional[Path]
     """A .4dv file with source views."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder for the pictures and the pages."""
+    """Folder for the images and the pages."""
     frame: int = 0
     """Index of the frame in the scene, from 0."""
     size: int = 512
-    """Width and height of the pictures in pixels."""
+    """Width and height of the images in pixels."""
     rounds: int = 5
     """Number of measurements of each viewer. The viewers take turns."""
     seconds: float = 5.0
@@ -141,15 +141,15 @@ def write_pages(arguments: Arguments, scene: Any) -> None:
 
 
 def path_of(camera: Camera, focus: NDArray[np.float64]) -> list[Camera]:
-    """Return cameras that move back and forth on an arc around the focus. The axis of the arc is parallel to the up
-    direction of ``camera``."""
+    """Return the cameras of a path that moves back and forth on an arc around the focus. The arc's axis is parallel to
+    the up direction of ``camera``."""
     steps = np.concatenate([np.arange(PATH_STEPS), np.arange(PATH_STEPS)[::-1]])
     return [turned(camera, focus, np.radians(STEP_DEGREES * step)) for step in steps]
 
 
 def turned(camera: Camera, focus: NDArray[np.float64], angle: float) -> Camera:
-    """Rotate ``camera`` about the axis through the focus that is parallel to the camera's up direction. The result sees
-    the scene as ``camera`` would see it after a rotation of the scene by ``angle`` about this axis."""
+    """Rotate ``camera`` about the axis through the focus that is parallel to the camera's up direction. Its view
+    changes as if the scene were rotated by ``angle`` instead."""
     x, y, z = camera.rotation[1]
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
@@ -158,7 +158,7 @@ def turned(camera: Camera, focus: NDArray[np.float64], angle: float) -> Camera:
 
 
 def describe(camera: Camera) -> dict[str, Any]:
-    """The parameters of the camera for <fourd-player>, and the camera's OpenGL matrices for the other viewers."""
+    """Return the camera's parameters for <fourd-player>, and its OpenGL matrices for the other viewers."""
     k, width, height = camera.intrinsics, camera.width, camera.height
     view, projection = np.eye(4), np.zeros((4, 4))
     view[:3, :3], view[:3, 3] = camera.rotation, camera.translation
@@ -182,7 +182,7 @@ def describe(camera: Camera) -> dict[str, Any]:
 def print_table(
     pictures: dict[str, NDArray[np.uint8]], subject: NDArray[np.bool_], speeds: dict[str, list[float]]
 ) -> None:
-    """Print the errors of the whole pictures, the errors of the pixels that show the subject, and the speeds."""
+    """Print the errors of the whole images, the errors of the pixels that show the subject, and the speeds."""
     print("| picture | PSNR to the scene | subject | PSNR to the file | subject | images per second | range |")
     print("|---|---|---|---|---|---|---|")
     for name, picture in pictures.items():

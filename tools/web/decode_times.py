@@ -1,12 +1,12 @@
-"""Print a Markdown table with the time to decode a frame of each scene, in the web player's worker and in native code.
+"""Print a Markdown table of the times to decode a frame in the web player's worker and in native code.
 
     python tools/web/decode_times.py scene_full.4dv scene_stream.4dv scene_light.4dv
 
 The worker and the native code decode the points, the spherical harmonics, and the source views that are blended for the
-last camera of the scene. The browser uses one worker, and the native code uses one core. A scene file is a ZIP archive.
-In the page's copy of the scene, the members of the archive are compressed with zlib. Worker and native code are
-measured alternately with this copy. The native code is also measured alone, with the given scene, whose members `fourd
-pack` compresses with Zstandard.
+last camera of the scene. The browser uses one worker, and the native code uses one core. A scene file is a ZIP archive,
+whose members are compressed with zlib in the page's copy of the scene. The worker and the native code take turns
+decoding this copy. Afterwards, the native code alone decodes the given scene, whose members `fourd pack` compresses
+with Zstandard.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def main() -> None:
 
 
 def measure(scene: Path, site: Path, rounds: int) -> str:
-    """Return the table row of a scene, whose page is in the folder ``site``."""
+    """Return the table row of a scene whose page is in the folder ``site``."""
     reader = SceneReader(site / SCENE_NAME)
     manifest = reader.manifest
     reader.close()
@@ -99,7 +99,7 @@ def measure(scene: Path, site: Path, rounds: int) -> str:
     with zipfile.ZipFile(scene) as archive:
         frames = [*range(manifest.frame_count)] * (rounds + 1)
         alone = [decode_natively(archive, manifest, frame, views) for frame in frames]
-    # The times of the first round are dropped, because the browser compiles the JavaScript during this round.
+    # The times of the first round are dropped, because the browser compiles the JavaScript in this round.
     worker, native, alone = (times[manifest.frame_count :] for times in (worker, native, alone))
     steps = statistics.quantiles(worker, n=10)
     median, other = statistics.median(worker), statistics.median(native)

@@ -1,12 +1,12 @@
 /**
  * Functions that compare_viewers.py adds to each page. A page has `window.viewer`, a promise of {draw, canvas}. The
- * function `draw` draws an image from a camera, which is passed as {camera, view, projection}.
+ * function `draw` draws an image from a camera that is passed as {camera, view, projection}.
  */
 
 const nextImage = () => new Promise((resolve) => requestAnimationFrame(resolve));
 
-/** Draws from one camera for three seconds, so that the viewer has time to sort the splats by depth for this camera.
- * Returns the canvas as a PNG file in base64. */
+/** Draws from one camera for three seconds, to give the viewer time to sort the splats by depth. Returns the canvas as
+ * a PNG file in base64. */
 window.picture = async (camera) => {
   const { draw, canvas } = await window.viewer;
   const end = performance.now() + 3000;
@@ -19,7 +19,7 @@ window.picture = async (camera) => {
 };
 
 /** Returns the number of images per second while the camera moves along a path. Each image is finished before the next
- * image is started. */
+ * one starts. */
 window.imagesPerSecond = async (cameras, seconds) => {
   const { draw, canvas } = await window.viewer;
   const gl = canvas.getContext("webgl2");

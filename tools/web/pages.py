@@ -1,4 +1,4 @@
-"""Opens pages of local folders in Chromium, for the programs of this folder."""
+"""Serves local folders and opens their pages in Chromium, for the programs in this folder."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from fourd.viewer.publish.server import SiteServer
 
 FLAGS = ("--headless", "--no-sandbox", "--ignore-gpu-blocklist", "--use-gl=angle", "--use-angle=gl-egl")
 DEFAULT_FLAGS = ("--enable-unsafe-swiftshader", "--use-angle=swiftshader-webgl")
-"""Default flags of Playwright that are not passed to Chromium, because they would select another graphics driver."""
+"""Playwright's default flags that are not passed to Chromium, because they would select another graphics driver."""
 
 
 @contextmanager
 def open_browser() -> Iterator[Any]:
-    """Yield a running Chromium of Playwright."""
+    """Yield a running Chromium, controlled by Playwright."""
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     with sync_playwright() as running:
         browser = running.chromium.launch(executable_path=chromium, args=FLAGS, ignore_default_args=DEFAULT_FLAGS)
@@ -43,8 +43,8 @@ def serving(server: SiteServer) -> Iterator[SiteServer]:
 
 @contextmanager
 def open_pages(addresses: dict[str, tuple[Path, str]], size: int) -> Iterator[dict[str, Any]]:
-    """Yield one Playwright page for each name. Each address consists of a folder to serve, and the path and query of a
-    page in this folder."""
+    """Yield one Playwright page per name. An address consists of a folder to serve, and the path and query of a page in
+    this folder."""
     with ExitStack() as stack:
         browser = stack.enter_context(open_browser())
         pages = {}

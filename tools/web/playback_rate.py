@@ -1,14 +1,13 @@
-"""Measure whether a scene plays without pauses in Chromium over a slow connection.
+"""Measure how smoothly a scene plays in Chromium over a slow connection.
 
     python tools/web/playback_rate.py scene.4dv --mbps 50
     python tools/web/playback_rate.py scene.4dv --mbps 50 --tier stream --repeat 25
 
-The program opens the page of the scene with an empty browser cache. The server limits the data rate to --mbps. The
-program prints the time from the opening of the page to the start of playback. For playback, the program prints the
-pauses, the images per second and the amount of received data. The program also moves the time bar to frames that are
-not in memory, and prints the time until each frame is shown. Without --tier, the program chooses a level as `fourd web
---max-mbps` does. With --repeat, the frames are repeated with new frame numbers, so that the scene is longer. The
-program needs Chromium and the package playwright.
+The program opens the page of the scene with an empty browser cache, from a server that limits the data rate to --mbps.
+It prints the time from opening the page to the start of playback and, for playback, the pauses, the images per second
+and the amount of received data. It also moves the time bar to frames that are not in memory, and prints the time until
+each frame is shown. If --tier is not given, a level is chosen as by `fourd web --max-mbps`. Use --repeat to make the
+scene longer, by repeating its frames with new frame numbers. The program needs Chromium and the package playwright.
 """
 
 from __future__ import annotations
@@ -37,8 +36,8 @@ CHUNK = 1 << 14
 LOCAL_HEADER, SIZES_AT, NAME_LENGTH_AT = 30, 18, 26
 """Size of a local file header in a ZIP archive, and the offsets of two of its fields (ZIP appnote 4.3.7)."""
 CREDIT_SECONDS = 0.05
-"""Maximum delay, in seconds, that the server makes up for. If the operating system wakes the server too late, the
-server then sends faster than the data rate."""
+"""Maximum delay, in seconds, that the server makes up for. After such a delay, which occurs if the operating system
+wakes the server too late, the server briefly sends faster than the data rate."""
 PLAY = """
 async (milliseconds) => {
   const sleep = () => new Promise((resolve) => setTimeout(resolve, 5));
@@ -98,7 +97,7 @@ async (parts) => {
 }
 """
 SEEKS = (0.5, 0.9, 0.2, 0.7, 0.35)
-"""Places on the time bar to which the program moves, as parts of the scene."""
+"""Positions on the time bar to which the program seeks, as fractions of the scene."""
 
 
 @dataclass(frozen=True)
@@ -108,19 +107,18 @@ class Arguments:
     scene: tyro.conf.Positional[Path]
     """An unpacked .4dv file."""
     mbps: float = 50.0
-    """Rate of the connection in megabits per second."""
+    """Data rate of the connection in megabits per second."""
     served_mbps: float | None = None
-    """Actual data rate of the server, in megabits per second. The default is --mbps. With a high rate, the measurement
-    shows whether this machine decodes and draws fast enough."""
+    """Actual data rate of the server, in megabits per second. The default is --mbps. Set a higher rate to find out
+    whether this machine decodes and draws fast enough."""
     latency: float = 0.02
     """Delay of each response in seconds."""
     seconds: float = 10.0
-    """Duration of measured playback in seconds."""
+    """Duration of the measured playback in seconds."""
     tier: Tier | None = None
-    """The program plays the default level of this tier. Without a tier, the program plays the level that fits the
-    connection."""
+    """Tier whose default level is played. By default, the level that fits the connection is played."""
     repeat: int = 1
-    """Number of times that the frames are repeated."""
+    """Number of times that the frames are played in succession."""
     rounds: int = 5
     """Number of measurements. Each measurement starts with an empty browser cache."""
     size: tuple[int, int] = (256, 256)
@@ -196,7 +194,7 @@ def play(url: str, arguments: Arguments) -> dict[str, float]:
 
 
 def seek(url: str, arguments: Arguments) -> list[float]:
-    """Open the page in a new browser, and move to several frames as soon as the first image is shown. Return the times
+    """Open the page in a new browser, and seek to several frames as soon as the first image is shown. Return the time
     in milliseconds until each frame is shown."""
     with opened(url, arguments) as page:
         times: list[float] = page.evaluate(SEEK, SEEKS)
@@ -213,10 +211,10 @@ def opened(url: str, arguments: Arguments) -> Iterator[Any]:
 
 
 def repeat_frames(scene: Path, times: int) -> None:
-    """Repeat the frames of a packed scene. The new frames have their own frame numbers, but the manifest assigns them
-    the same bytes of the file.
+    """Repeat the frames of a packed scene. The repeated frames get new frame numbers, but use the same bytes of the
+    file.
 
-    The web player can read the resulting file, but the ZIP directory at the end of the file is not correct.
+    The web player can read the resulting file, although the ZIP directory at its end is not correct.
     """
     content = scene.read_bytes()
     name, extra = struct.unpack_from("<2H", content, NAME_LENGTH_AT)

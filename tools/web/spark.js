@@ -26,5 +26,5 @@ async function start() {
   return { draw, canvas: renderer.domElement };
 }
 
-/** The functions that tools/web/compare_viewers.py calls. */
+/** The interface that tools/web/loop.js uses. */
 window.viewer = start();

@@ -3,7 +3,7 @@
     python tools/web/style_times.py SITE --rounds 15
 
 SITE is a folder that `fourd web` has written. The page shows frame 0 at 512 x 512 pixels in Chromium. The styles take
-turns, and each image is finished before the next one is started.
+turns, and each image is finished before the next one starts.
 """
 
 from __future__ import annotations

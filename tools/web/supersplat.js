@@ -5,7 +5,7 @@ import { Mat4 } from "playcanvas";
 const size = Number(new URLSearchParams(location.search).get("size"));
 
 async function start() {
-  // The canvas keeps its content, because pictures are read from it after they are shown.
+  // The canvas must keep its content, because images are read from it after they are shown.
   const { getContext } = HTMLCanvasElement.prototype;
   HTMLCanvasElement.prototype.getContext = function (kind, options) {
     return getContext.call(this, kind, { ...options, preserveDrawingBuffer: true });
@@ -20,7 +20,7 @@ async function start() {
   return { draw: drawing(viewer.app), canvas: container.querySelector("canvas") };
 }
 
-/** A function that draws one image with the viewer's renderer. It replaces the viewer's own drawing loop. */
+/** Stops the viewer's own drawing loop, and returns a function that draws one image with the viewer's renderer. */
 function drawing(app) {
   cancelAnimationFrame(app.frameRequestId);
   const { camera } = app.root.findComponent("camera").entity;
@@ -42,5 +42,5 @@ function drawing(app) {
   };
 }
 
-/** The functions that tools/web/compare_viewers.py calls. */
+/** The interface that tools/web/loop.js uses. */
 window.viewer = start();

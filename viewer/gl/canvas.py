@@ -31,7 +31,7 @@ class Canvas:
         return (0, 0) if self._texture is None else self._texture.size
 
     def framebuffer(self, width: int, height: int) -> moderngl.Framebuffer:
-        """The framebuffer, resized to ``width`` x ``height`` pixels."""
+        """Return the framebuffer, resized to ``width`` x ``height`` pixels."""
         if self._framebuffer is None or self.size != (width, height):
             self.release()
             self._texture = self._context.texture((width, height), 4, dtype=self._dtype)
@@ -39,7 +39,7 @@ class Canvas:
         return self._framebuffer
 
     def write(self, pixels: NDArray[np.uint8]) -> None:
-        """Upload an image, (H, W, 4) uint8, with row 0 at the top."""
+        """Upload an image of shape (H, W, 4) and type uint8, with row 0 at the top."""
         height, width = pixels.shape[:2]
         self.framebuffer(width, height)
         assert self._texture is not None
@@ -48,13 +48,13 @@ class Canvas:
         self._texture.write(np.ascontiguousarray(pixels[::-1]))
 
     def read_rgb8(self) -> NDArray[np.uint8]:
-        """The image, (H, W, 3) uint8, with row 0 at the top."""
+        """Return the image as an array (H, W, 3) of uint8, with row 0 at the top."""
         framebuffer = self.framebuffer(*self.size)
         content = np.frombuffer(framebuffer.read(components=3, alignment=1), np.uint8)
         return np.ascontiguousarray(content.reshape(framebuffer.height, framebuffer.width, 3)[::-1])
 
     def read_rgba32f(self) -> NDArray[np.float32]:
-        """The image, (H, W, 4) float32, with row 0 at the top."""
+        """Return the image as an array (H, W, 4) of float32, with row 0 at the top."""
         framebuffer = self.framebuffer(*self.size)
         content = np.frombuffer(framebuffer.read(components=4, dtype="f4"), np.float32)
         return content.reshape(framebuffer.height, framebuffer.width, 4)[::-1]

@@ -29,11 +29,11 @@ class Compositor(Protocol):
         """The disc geometry. The caller must call :meth:`Discs.project` before :meth:`draw`."""
 
     def draw(self, request: RenderRequest, target: moderngl.Framebuffer, is_picture: bool = True) -> None:
-        """Composite :attr:`discs`, and write the result into ``target``. The image is upright in ``target``.
+        """Composite :attr:`discs`, and write the result upright into ``target``.
 
         If ``is_picture`` is True, the result is composited over the background colour of the request, filtered with the
-        pixel filter, and limited to [0, 1]. If ``is_picture`` is False, the result contains alpha and the composited
-        quantity (colour, normal or depth), premultiplied by alpha and neither filtered nor limited.
+        pixel filter and clamped to [0, 1]. If ``is_picture`` is False, the result is the premultiplied quantity that
+        the discs show (colour, normal or depth) with its alpha. It is neither filtered nor clamped.
         """
 
     def release(self) -> None:
@@ -72,8 +72,8 @@ class OverBackground:
 
 
 class SortedBlending:
-    """Blends all discs in one pass, from the farthest to the nearest. A pixel can have more layers than the maximum
-    number K of a request.
+    """Blends all discs in one pass, from the farthest to the nearest. The request's maximum number of layers K is
+    ignored.
 
     If the scene has a pixel filter, a second pass filters the image.
     """
@@ -149,10 +149,10 @@ class DualDepthPeeling:
     """Dual depth peeling (Bavoil and Myers 2008): in each pixel, a pass finds the nearest and the farthest of the
     remaining layers.
 
-    Let K be the maximum number of composited layers. In each pixel, each of the first K // 2 passes finds up to two
-    layers. If layers remain in a pixel after these passes, the layers that were peeled from its back may not be among
-    the K nearest, and are dropped. Further passes then peel layers from the front, until K layers are composited or no
-    further layer is visible. The result has the K nearest layers, as in :class:`DepthPeeling`.
+    Let K be the maximum number of composited layers. The first K // 2 passes each find up to two layers per pixel. If
+    layers remain in a pixel after these passes, the layers peeled from its back are dropped, because they may not be
+    among the K nearest. Further passes then peel layers from the front until K layers are composited or no further
+    layer is visible. The result has the K nearest layers, as in :class:`DepthPeeling`.
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
@@ -190,8 +190,8 @@ class DualDepthPeeling:
         """Run geometry pass ``index``, counted from 0.
 
         A rank is the position of a disc in depth order, counted from 1 at the nearest disc. In each pixel, the pass
-        finds the smallest and the largest rank that lie strictly between the two ranks of the previous pass. With
-        ``front_only``, only the smaller rank of the previous pass is a bound.
+        finds the smallest and the largest rank strictly between the two ranks that the previous pass has found. If
+        ``front_only`` is True, only the smaller of these two ranks is a bound.
         """
         targets = self._targets
         bounds, previous_bounds = f"bounds {index % 2}", f"bounds {1 - index % 2}"
@@ -227,15 +227,15 @@ class DualDepthPeeling:
         return first + max_layers - 1
 
     def _has_remaining_layers(self, index: int, clear_back: bool) -> bool:
-        """Whether geometry pass ``index`` has found layers that are visible through the layers in front.
+        """Return True if geometry pass ``index`` has found layers that are visible through the layers in front.
 
-        If ``clear_back`` is True, hidden layers count too, and the function clears the layers composited from the back
-        in each pixel in which the pass has found a layer.
+        If ``clear_back`` is True, hidden layers count too, and the layers composited from the back are cleared in each
+        pixel in which the pass has found a layer.
         """
         targets = self._targets
         previous = 1 - index % 2
-        # The occlusion query needs a framebuffer to draw into. The query can overwrite the bounds of the previous pass,
-        # because no later pass reads these bounds.
+        # The occlusion query needs a framebuffer to draw into. If nothing needs clearing, it draws over the bounds of
+        # the previous pass, which no later pass reads.
         targets.framebuffer([f"back {previous}" if clear_back else f"bounds {previous}"]).use()
         disable_blending(self._context)
         with self._counter:

@@ -13,7 +13,7 @@ REQUIRED_VERSION = 330
 
 
 def offscreen_context() -> moderngl.Context:
-    """An OpenGL context without a window. On Linux, the context uses EGL, which needs no display.
+    """Create an OpenGL context without a window. On Linux, the context uses EGL, which needs no display.
 
     Raises UserError if OpenGL 3.3 is not available.
     """
@@ -21,7 +21,7 @@ def offscreen_context() -> moderngl.Context:
     try:
         return moderngl.create_context(standalone=True, require=REQUIRED_VERSION, **backend)  # type: ignore[arg-type]
     except Exception as error:
-        # The code catches Exception, because moderngl and glcontext raise this class itself and not a subclass.
+        # moderngl and glcontext raise Exception itself, not a subclass.
         raise UserError(
             f"OpenGL: expected version 3.3 or newer, got '{' '.join(str(error).split())}'; "
             "install a driver (Debian: libegl1 libgl1-mesa-dri) or add --renderer cpu"
@@ -29,15 +29,15 @@ def offscreen_context() -> moderngl.Context:
 
 
 def driver_info(context: moderngl.Context) -> dict[str, Any]:
-    """The names and limits that the driver reports, keyed by the names of the OpenGL constants."""
+    """Return the names and limits that the driver reports, keyed by the names of the OpenGL constants."""
     info = context.info
-    # moderngl also queries limits of newer OpenGL versions. Each query of a limit that the driver does not support sets
-    # a GL error, which the loop below clears.
+    # The loop clears the GL errors of this query. They occur because moderngl also queries limits of newer OpenGL
+    # versions, which the driver may not support.
     while context.error != "GL_NO_ERROR":
         pass
     return info
 
 
 def driver_name(context: moderngl.Context) -> str:
-    """The driver's GL_RENDERER string, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
+    """Return the driver's GL_RENDERER string, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
     return str(driver_info(context)["GL_RENDERER"])

@@ -33,7 +33,7 @@ class DepthOrder:
     seconds: float
 
     def matches(self, request: RenderRequest) -> bool:
-        """Whether this order was computed for the frame object and the camera object of the request."""
+        """Return True if this order was computed for the request's frame object and camera object."""
         return self.frame is request.frame and self.camera is request.camera
 
 
@@ -74,9 +74,8 @@ class ExactOrders:
 class BackgroundOrders:
     """Sorts the points of the newest request in a thread.
 
-    :meth:`order` may return the depth order of an earlier request. The thread sorts all points inside an enlarged image
-    of twice the width and twice the height. The depth order therefore includes points that enter the visible image
-    during the next sort.
+    :meth:`order` may return the depth order of an earlier request, made for a different camera pose. To include points
+    that have entered the image since, the thread sorts all points inside an image of twice the width and height.
     """
 
     def __init__(self) -> None:

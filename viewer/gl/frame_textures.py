@@ -1,7 +1,7 @@
 """Stores the arrays of a frame in textures that vertex shaders read by index.
 
-OpenGL's buffer textures are not used, because many drivers read buffer textures more slowly than other textures, and
-because moderngl does not support buffer textures.
+OpenGL's buffer textures are not used, because moderngl does not support them and many drivers read them more slowly
+than other textures.
 """
 
 from __future__ import annotations
@@ -69,8 +69,8 @@ class ArrayTexture:
     def reserve(self, texels: int) -> bool:
         """Reserve storage for ``texels`` texels.
 
-        Returns whether the texture keeps its content. If the texture must be enlarged, its content is lost. Raises
-        UserError if the texture would exceed the driver's limit.
+        Returns True if the texture keeps its content, or False if it had to be enlarged, which loses the content.
+        Raises UserError if the texture would exceed the driver's limit.
         """
         rows = -(-texels // TEXELS_PER_ROW)
         if self._texture is not None and self._texture.height >= rows:
@@ -97,10 +97,9 @@ class FrameTextures:
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
-        """``precision`` is the texel type of the textures that store the float16 arrays of a frame.
+        """``precision`` is the texel type of the textures that store a frame's float16 arrays.
 
-        The precision float32 is the reference in tests and benchmarks. With float32, these textures need twice the
-        memory and bandwidth.
+        Tests and benchmarks use float32 as the reference. It needs twice the memory and bandwidth of float16.
         """
         short = "f2" if precision == "float16" else "f4"
         self._float16_dtype = np.float16 if precision == "float16" else np.float32
@@ -152,7 +151,7 @@ class FrameTextures:
     def _reserve(self, frame: BakedFrame) -> bool:
         """Reserve storage for all points of ``frame``.
 
-        Returns whether the textures already contain the frame's background.
+        Returns True if the textures already contain the frame's background.
         """
         is_same = frame.background is not None and frame.background is self._background
         keeps_background = is_same and frame.dynamic_count <= self._dynamic_capacity

@@ -42,7 +42,7 @@ class RenderTargets:
             self._depth_buffer = self._context.depth_renderbuffer(size)
 
     def texture(self, name: str) -> moderngl.Texture:
-        """The texture called ``name``."""
+        """Return the texture called ``name``."""
         return self._textures[name]
 
     def clear(self, name: str, first: float = 0.0, second: float = 0.0) -> None:
@@ -54,7 +54,7 @@ class RenderTargets:
         self.framebuffer([name], with_depth=True).clear()
 
     def framebuffer(self, names: Sequence[str], with_depth: bool = False) -> moderngl.Framebuffer:
-        """A framebuffer that draws into all textures in ``names`` at once."""
+        """Return a framebuffer that draws into all textures in ``names`` at once."""
         key = (*names, "depth" if with_depth else "")
         if key not in self._framebuffers:
             buffer = self._depth_buffer if with_depth else None

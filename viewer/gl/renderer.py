@@ -33,8 +33,8 @@ class GLRenderer:
         self._context = context
         self._compositor = compositor
         self._orders = orders
-        # There are two sets of textures, because the previous frame is still drawn while the points of the next frame
-        # are being sorted.
+        # Two sets of textures are needed, because the previous frame is still drawn while the next frame's points are
+        # being sorted.
         self._textures = [FrameTextures(context, precision) for _ in range(2)]
         self._styled: StyledDrawing | None = None
         self._stale_images = 0
@@ -42,7 +42,7 @@ class GLRenderer:
 
     @property
     def stale_images(self) -> int:
-        """Number of consecutive images, up to and including the last image, that were drawn with the depth order of an
+        """Number of images, up to and including the last one, that were drawn in succession with the depth order of an
         earlier request.
 
         The number is 0 if the last image was drawn with its own depth order.
@@ -51,8 +51,7 @@ class GLRenderer:
 
     @property
     def style_seconds(self) -> float:
-        """GPU time of the stylizer in seconds, for the newest image whose time is known. Without a style, the time is
-        0."""
+        """GPU time of the stylizer in seconds for the newest image whose time is known, or 0 if no style is used."""
         return 0.0 if self._styled is None else self._styled.style_seconds
 
     @property
@@ -102,8 +101,11 @@ class GLRenderer:
         self._styled.draw(self._compositor, project, request, target)
 
     def _release_styled(self) -> None:
-        """Free the objects that only styles need, and the textures that contain estimated normals. Without a style,
-        frames are uploaded without normals, so these textures would keep outdated normals of the background."""
+        """Free the objects that only styles need, and all frame textures.
+
+        The frame textures may contain estimated normals. As frames without a style are uploaded without normals, the
+        normals of the background would otherwise stay in the textures and become outdated.
+        """
         if self._styled is None:
             return
         self._styled.release()

@@ -14,9 +14,9 @@ TEXELS_PER_ROW = 4096
 """Width in texels of the textures that store arrays. The width is a power of two, so that shaders can use bit
 operations."""
 NONE = 1e9
-"""A number that is larger than the rank (the position in depth order, from 1) of every layer.
+"""A number larger than every rank. A rank is a layer's position in depth order, counted from 1.
 
-In the bounds of a dual peeling pass, NONE means that the pixel has no layer.
+As a bound in dual depth peeling, NONE means that the pixel has no layer.
 """
 
 _DEFINES = {"TEXELS_PER_ROW": str(TEXELS_PER_ROW), "NONE": "1e9", "MIN_TRANSMITTANCE": str(MIN_TRANSMITTANCE)}

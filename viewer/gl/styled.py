@@ -1,5 +1,5 @@
-"""Draws frames in a style with OpenGL. A compositor draws the visible surface of the points, and the stylizer then
-draws the picture of this surface."""
+"""Draws frames in a style with OpenGL. A compositor draws the visible surface of the points, and the stylizer turns
+this surface into the styled image."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ normals or depths."""
 class SurfaceBuffer:
     """The visible surface of points, drawn by any compositor.
 
-    The compositor runs three times, for colours, normals and depths, so a disc has the same weight in all three runs.
+    The same compositor runs three times, for colours, normals and depths, so that a disc has the same weight in all
+    three.
     """
 
     def __init__(self, context: moderngl.Context) -> None:
@@ -87,7 +88,7 @@ class SurfaceBuffer:
 
 class StyledDrawing:
     """Draws requests in their style. As with :class:`fourd.baking.styled.player.StyledPlayer`, lines do not flicker in
-    successive pictures from the same camera."""
+    successive images from the same camera."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._surface = SurfaceBuffer(context)
@@ -101,17 +102,18 @@ class StyledDrawing:
 
     @property
     def style_seconds(self) -> float:
-        """GPU time of the stylizer in seconds, for the newest picture whose time is known. The time does not include
-        the drawing of the surface."""
+        """GPU time of the stylizer in seconds for the newest image whose time is known. It does not include the time to
+        draw the surface."""
         return self._timer.seconds
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """(H, W) strength of the lines in the last picture, without specks (very short lines, which are not drawn)."""
+        """(H, W) strength of the lines in the last image, without specks (very short lines, which are not drawn)."""
         return self._stylizer.line_strength
 
     def with_normals(self, frame: BakedFrame, manifest: SceneManifest) -> BakedFrame:
-        """The frame with normals. The last two frames are kept, so that their textures are not uploaded again."""
+        """Return the frame with normals. The results for the last two frames are kept, so that they are not uploaded
+        again."""
         if frame.normals is not None:
             return frame
         for source, complete in self._frames:
@@ -149,6 +151,6 @@ class StyledDrawing:
 
 
 def depth_unit(camera: Camera, manifest: SceneManifest) -> float:
-    """Return the length, in world units, of the unit of composited depths: the distance from the camera to the centre
-    of the scene. Depths in this unit are near 1, so float16 represents them well."""
+    """Return the unit of composited depths, in world units. It is the distance from the camera to the centre of the
+    scene, so that composited depths are near 1, where float16 is precise."""
     return max(float(np.linalg.norm(np.asarray(manifest.focus) - camera.centre)), 1e-6)

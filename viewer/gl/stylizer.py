@@ -1,4 +1,4 @@
-"""The stylizer in OpenGL: fragment passes with the formulas of :mod:`fourd.ops.stylize.parameters`."""
+"""Stylizes images in OpenGL, with the formulas of :mod:`fourd.ops.stylize.parameters` as fragment passes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fourd.viewer.gl.passes import FullScreenPass, RenderTargets, disable_blendi
 
 @dataclass(frozen=True, eq=False)
 class SurfaceTextures:
-    """A visible surface in textures with the layout of :class:`fourd.ops.stylize.parameters.Surface`. Row 0 of a
+    """Textures of a visible surface, with the layout of :class:`fourd.ops.stylize.parameters.Surface`. Row 0 of a
     texture is the top of the image."""
 
     albedo: moderngl.Texture
@@ -24,7 +24,7 @@ class SurfaceTextures:
 
 
 class GLStylizer:
-    """Draws surfaces in a style, and keeps the lines of the last picture."""
+    """Draws surfaces in a style, and keeps the lines of the last image."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -41,33 +41,32 @@ class GLStylizer:
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """(H, W) strength of the lines in the last picture, without specks (very short lines, which are not drawn)."""
+        """(H, W) strength of the lines in the last image, without specks (very short lines, which are not drawn)."""
         state = self.line_state
         content = np.frombuffer(state.read(alignment=1), np.uint32).reshape(state.height, state.width)
         return remove_specks((content & 255).astype(np.uint8), speck_reach(self._thickness))
 
     @property
     def line_state(self) -> moderngl.Texture:
-        """The lines of the last picture, including specks (very short lines, which are not drawn), as one uint32 per
-        pixel in the layout of :func:`fourd.ops.stylize.op.stylize_surface`."""
+        """The lines of the last image, with one uint32 per pixel in the layout of
+        :func:`fourd.ops.stylize.op.stylize_surface`. They include specks (very short lines), which are not drawn."""
         return self._targets.texture(f"lines {self._last}")
 
     def resize(self, size: tuple[int, int]) -> None:
-        """Set the size (width, height) of the pictures. If the size changes, the lines of the last picture are
-        dropped."""
+        """Set the image size (width, height). If the size changes, the lines of the last image are dropped."""
         if size != self._targets.size:
             self._targets.resize(size)
             self.forget_lines()
 
     def forget_lines(self) -> None:
-        """Forget the lines of the last picture, for example because the next picture is drawn from another camera."""
+        """Forget the lines of the last image, for example because the next image is drawn from another camera."""
         self._has_state = False
 
     def draw(self, surface: SurfaceTextures, parameters: StyleParameters) -> moderngl.Texture:
-        """Draw a surface, whose size must be the size that the last call of :meth:`resize` has set.
+        """Draw a surface in the style ``parameters``. The surface must have the size set by :meth:`resize`.
 
-        Returns a texture with the picture: the colours composited over the paper, and alpha. Row 0 of the texture is
-        the top. The next call overwrites the picture.
+        Returns a texture that contains the colours, composited over the paper, and alpha. Row 0 of the texture is the
+        top of the image. The next call overwrites the texture.
         """
         targets = self._targets
         disable_blending(self._context)

@@ -9,14 +9,14 @@ from OpenGL import GL
 
 
 class GPUTimer:
-    """Measures the commands of ``with`` blocks on the GPU.
+    """Measures the GPU time of the commands in ``with`` blocks.
 
-    A result is read only once it is available, so that the program never waits for the GPU. The blocks of two timers
-    must not overlap. This class calls OpenGL directly, because the queries of moderngl cannot be deleted.
+    A result is read only once it is available, so that the program never waits for the GPU. The ``with`` blocks of two
+    timers must not overlap. This class calls OpenGL directly, because the queries of moderngl cannot be deleted.
     """
 
     def __init__(self) -> None:
-        # There are two queries, because the GPU may report the time of one block only after the next block has started.
+        # Two queries are needed, because the GPU may report the time of one block only after the next has started.
         self._queries = [int(query) for query in np.asarray(GL.glGenQueries(2)).ravel()]
         self._pending: list[int] = []
         self._seconds = 0.0
@@ -30,7 +30,7 @@ class GPUTimer:
 
     def __enter__(self) -> GPUTimer:
         if len(self._pending) == len(self._queries):
-            self._pending.pop(0)  # the oldest result is not available yet, and is dropped
+            self._pending.pop(0)  # drop the oldest query, whose result is not available yet
         free = next(query for query in self._queries if query not in self._pending)
         GL.glBeginQuery(GL.GL_TIME_ELAPSED, free)
         self._pending.append(free)
@@ -48,6 +48,6 @@ class GPUTimer:
 
 
 def _value(query: int, name: int) -> int:
-    # A time of up to 4 s in nanoseconds fits into 32 bits. PyOpenGL cannot call the 64-bit version of this function,
-    # because it has no array type for the result.
+    # PyOpenGL cannot call the 64-bit version of this function, because it has no array type for the result. 32 bits are
+    # enough for times of up to 4 s in nanoseconds.
     return int(np.asarray(GL.glGetQueryObjectuiv(query, name)).ravel()[0])

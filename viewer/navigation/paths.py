@@ -1,7 +1,7 @@
 """Camera paths around a captured scene.
 
-A path is a list of cameras, one per image. A looping path ends one step before its first camera. If the path ended at
-its first camera, two equal images in succession would look like a pause.
+A path is a list of cameras, one per image. A looping path ends one step before its first camera, because a repeated
+first image would look like a pause.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ Bounds = tuple[Sequence[float], Sequence[float]]
 PathKind = Literal["orbit", "spiral", "cameras"]
 
 _MAX_GAP = np.radians(120)
-"""Largest gap in azimuth, in radians, between neighbouring cameras that form a full circle.
+"""Largest difference in azimuth, in radians, between neighbouring cameras of a full circle.
 
-If two neighbouring cameras are farther apart, no camera observes the side of the scene between them.
+Across a larger gap, no camera observes the side of the scene between the two cameras.
 """
 
 
@@ -37,9 +37,9 @@ def camera_path(
     *,
     size: tuple[int, int] | None = None,
 ) -> list[Camera]:
-    """Return the looping path that :func:`orbit`, :func:`spiral` or :func:`interpolate` makes, depending on ``kind``.
+    """Return a looping path of :func:`orbit`, :func:`spiral` or :func:`interpolate`, depending on ``kind``.
 
-    With the kind "cameras", the path goes through all cameras in order of azimuth.
+    A path of the kind "cameras" goes through all cameras in order of azimuth.
     """
     if kind == "orbit":
         return orbit(cameras, steps, focus=focus, size=size)
@@ -69,9 +69,9 @@ def orbit(
         distance: distance from the focus in world units, or None for the cameras' median distance.
         elevation: degrees above the horizontal plane through the focus, or None for the cameras' median elevation.
         size: width and height of the images in pixels, or None for the size of the first camera.
-        full: whether the path is a full circle. If ``full`` is False, the path swings back and forth over the arc of
-            the cameras. If ``full`` is None, the path is a full circle, unless the azimuths of two neighbouring cameras
-            differ by more than 120 degrees.
+        full: True for a full circle, or False for a path that swings back and forth over the arc of the cameras. If
+            ``full`` is None, the path is a full circle unless the azimuths of two neighbouring cameras differ by more
+            than 120 degrees.
     """
     rig = _measure_rig(cameras, steps, focus, up)
     distance = rig.distance if distance is None else distance
@@ -91,12 +91,12 @@ def spiral(
     size: tuple[int, int] | None = None,
     full: bool | None = None,
 ) -> list[Camera]:
-    """A looping path of several turns. Along the path, the elevation of the camera follows one period of a sine.
+    """Return a looping path of several turns, along which the camera's elevation follows one period of a sine.
 
     The arguments that ``Args`` does not list have the same meaning as in :func:`orbit`.
 
     Args:
-        turns: number of full circles, or number of swings back and forth over the arc. At least 1.
+        turns: number of full circles, or of swings back and forth over the arc; at least 1.
         swing: amplitude, in degrees, of the elevation around the cameras' median elevation. If ``swing`` is None, the
             amplitude is the largest difference between a camera's elevation and the median, but at least 10 degrees.
     """
@@ -118,7 +118,7 @@ def interpolate(
     loop: bool = True,
     size: tuple[int, int] | None = None,
 ) -> list[Camera]:
-    """A smooth path through ``cameras`` in the given order.
+    """Return a smooth path through ``cameras`` in the given order.
 
     Positions, orientations (quaternions), focal lengths and principal points follow cubic splines with continuous
     second derivatives. The speed along the path is nearly constant.
@@ -126,7 +126,7 @@ def interpolate(
     Args:
         cameras: cameras to pass through; at least 1. Equal cameras in succession count once.
         steps: number of images, at least 1.
-        loop: whether the path returns from the last camera to the first. A path without a loop ends at the last camera.
+        loop: if True, the path returns from the last camera to the first; otherwise it ends at the last camera.
         size: width and height of the images in pixels, or None for the size of the first camera.
     """
     _check_arguments(cameras, steps)
@@ -140,7 +140,7 @@ def interpolate(
 
 
 def order_by_azimuth(cameras: Sequence[Camera], focus: Sequence[float] | Array | None = None) -> list[int]:
-    """Indices of the cameras, sorted by azimuth around ``focus``, for :func:`interpolate`.
+    """Return the indices of the cameras, sorted by azimuth around ``focus``, for :func:`interpolate`.
 
     The order starts after the widest gap in azimuth, so that a path through an arc of cameras follows the arc.
     """
@@ -152,13 +152,12 @@ def order_by_azimuth(cameras: Sequence[Camera], focus: Sequence[float] | Array |
 
 
 def estimate_focus(cameras: Sequence[Camera], bounds: Bounds | None = None) -> Array:
-    """The least-squares intersection of all optical axes, (3,).
+    """Return the least-squares intersection of all optical axes, (3,), or a substitute if it is not reliable.
 
-    The intersection is not used if the axes are nearly parallel, if there is only one camera, or if the intersection is
-    behind at least half of the cameras. If the intersection is not used, the result is the centre of ``bounds`` (lower,
-    upper). If ``bounds`` is None, the result is a point in front of the cameras. The distance from this point to the
-    mean of the camera centres is three times the largest distance between a camera centre and the mean, or 1 world unit
-    for a single camera.
+    The intersection is not reliable if the axes are nearly parallel, if there is only one camera, or if it lies behind
+    at least half of the cameras. The substitute is the centre of ``bounds`` (lower, upper) or, if ``bounds`` is None, a
+    point in front of the cameras along their mean viewing direction. The distance of this point from the mean camera
+    centre is three times the largest distance of a camera centre from the mean, or 1 world unit for a single camera.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -238,8 +237,8 @@ def _measure_rig(
     local = offsets @ axes.T
     distances = np.maximum(np.linalg.norm(local, axis=1), 1e-9)
     elevations = np.arcsin(np.clip(local[:, 2] / distances, -1, 1))
-    # The elevation is limited to 80 degrees, because the view direction would be parallel to the up direction at 90
-    # degrees.
+    # The elevation is clamped to 80 degrees, because at 90 degrees the view direction would be parallel to the up
+    # direction.
     median = float(np.clip(np.median(elevations), -np.radians(80), np.radians(80)))
     zooms = [camera.intrinsics[1, 1] / min(camera.width, camera.height) for camera in cameras]
     return _Rig(
@@ -255,8 +254,8 @@ def _measure_rig(
 
 
 def _path_azimuths(rig: _Rig, steps: int, full: bool | None, turns: int = 1) -> Array:
-    """Return the azimuths (steps,) of the images in radians. The path consists of full circles, or swings back and
-    forth over the arc of the cameras."""
+    """Return the azimuths (steps,) of the images in radians, along full circles or along swings back and forth over the
+    arc of the cameras."""
     phases = 2 * np.pi * turns * np.arange(steps) / steps
     ordered = np.sort(rig.azimuths)
     gaps = np.diff(ordered, append=ordered[0] + 2 * np.pi)
@@ -276,9 +275,9 @@ def _sample_spline(knots: Array, steps: int, loop: bool) -> Array:
     ``knots`` (M, D) contains one camera vector per row. The samples have the shape (steps, D).
     """
     if loop:
-        # After one loop around the cameras, the quaternion can have the opposite sign, although the rotation is the
-        # same. After two loops, the quaternion has its first sign again. The spline therefore covers two loops, and
-        # only the first loop is sampled.
+        # After one loop around the cameras, the quaternion of the same rotation can have the opposite sign, so a
+        # periodic spline over one loop would not close. After two loops, it always has its first sign again. The spline
+        # therefore covers two loops, and only the first one is sampled.
         knots = _align_signs(np.concatenate([knots, knots, knots[:1]]))
     else:
         knots = _align_signs(knots)
@@ -299,7 +298,7 @@ def _to_vector(camera: Camera) -> Array:
 
 
 def _from_vector(vector: Array, width: int, height: int) -> Camera:
-    """The inverse of :func:`_to_vector`. The quaternion in ``vector`` can have any length above 0."""
+    """Convert a vector of :func:`_to_vector` to a camera. The quaternion in ``vector`` can have any length above 0."""
     rotation = Rotation.from_quat(vector[3:7]).as_matrix()
     focal = np.exp(vector[7:9])
     intrinsics = np.array([[focal[0], 0, vector[9]], [0, focal[1], vector[10]], [0, 0, 1.0]])
@@ -331,7 +330,7 @@ def _drop_duplicates(knots: Array, loop: bool) -> Array:
 def _distances(first: Array, second: Array) -> Array:
     """Return the length of each step between two successive knots.
 
-    The length combines translation and rotation, so that the path also takes time for a pure rotation.
+    The length combines translation and rotation, so that a pure rotation also takes time.
     """
     turn = 1 - np.abs((first[:, 3:7] * second[:, 3:7]).sum(axis=1)).clip(max=1)
     moved = np.linalg.norm(first[:, :3] - second[:, :3], axis=1)

@@ -1,4 +1,4 @@
-"""The viewer's pose and its motions by mouse and keys, as in Blender and three.js OrbitControls."""
+"""The viewer's pose, which moves by mouse and keys as in Blender and three.js OrbitControls."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MIN_DISTANCE, _MAX_DISTANCE = 1e-3, 1e6
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A viewpoint, which consists of an eye and of a pivot on the eye's viewing axis. Lengths are in world units.
+    """A viewpoint: an eye, and a pivot on the eye's viewing axis. Lengths are in world units.
 
     Attributes:
         pivot: point (3,) that the eye orbits around.
@@ -49,7 +49,7 @@ class Pose:
         return self.pivot - self.distance * self.rotation[2]
 
     def camera(self, width: int, height: int) -> Camera:
-        """The camera of this pose for an image of ``width`` x ``height`` pixels."""
+        """Return the camera of this pose for an image of ``width`` x ``height`` pixels."""
         focal = height / 2 / np.tan(self.field_of_view / 2)
         intrinsics = np.array(
             [
@@ -69,8 +69,8 @@ class Pose:
         forward = self.rotation[2]
         level = np.cross(forward, self.up)
         length = float(np.linalg.norm(level))
-        # The camera tilts about a horizontal axis. If a rolled camera rotated about the image's x axis instead, its
-        # viewing axis could pass the vertical.
+        # The camera tilts about a horizontal axis. If a rolled camera tilted about the image's x axis instead, its
+        # viewing axis could move past the vertical.
         level = level / length if length > 1e-6 else self.rotation[0]
         if level @ self.rotation[0] < 0:  # if the camera is upside down, keep the drag direction on screen
             right, down = -right, -down
@@ -89,7 +89,7 @@ class Pose:
         return replace(self, pivot=self.pivot - length * (right * self.rotation[0] + down * self.rotation[1]))
 
     def dolly(self, factor: float) -> Pose:
-        """Multiply the distance to the pivot by ``factor``, which is above 0."""
+        """Multiply the distance to the pivot by ``factor``, which must be positive."""
         return replace(self, distance=float(np.clip(self.distance * factor, _MIN_DISTANCE, _MAX_DISTANCE)))
 
     def fly(self, right: float, up: float, forward: float) -> Pose:
@@ -98,20 +98,20 @@ class Pose:
         return replace(self, pivot=self.pivot + step)
 
     def with_field_of_view(self, radians: float) -> Pose:
-        """Return the pose with the vertical field of view ``radians``, clamped to the allowed range."""
+        """Return the pose with a vertical field of view of ``radians``, clamped to the allowed range."""
         return replace(self, field_of_view=float(np.clip(radians, MIN_FIELD_OF_VIEW, MAX_FIELD_OF_VIEW)))
 
 
 def pose_from_camera(camera: Camera, focus: Sequence[float] | Array, up: Array, size: tuple[int, int]) -> Pose:
-    """The pose whose image of ``size`` (width, height) contains the whole image of ``camera``.
+    """Return the pose whose image of ``size`` (width, height) contains the whole image of ``camera``.
 
     The pivot is the point on the viewing axis that is nearest to ``focus``. If this point is behind the camera, the
     pivot is 1 world unit in front of the camera.
     """
     width, height = size
     zoom = min(width / camera.width, height / camera.height)
-    # A pose has square pixels, so it has one focal length. The shorter of the camera's two focal lengths avoids
-    # cropping.
+    # A pose has a single focal length, because its pixels are square. The shorter of the camera's two focal lengths
+    # avoids cropping.
     focal = zoom * float(min(camera.intrinsics[0, 0], camera.intrinsics[1, 1]))
     distance = float((np.asarray(focus, np.float64) - camera.centre) @ camera.forward)
     if not distance > _MIN_DISTANCE:
@@ -130,7 +130,7 @@ def pose_from_camera(camera: Camera, focus: Sequence[float] | Array, up: Array, 
 
 
 def pose_facing(eye: Array, pivot: Array, up: Array, field_of_view: float) -> Pose:
-    """The pose at ``eye`` that looks at ``pivot``, with ``up`` towards the top of the image."""
+    """Return the pose at ``eye`` that looks at ``pivot``, with ``up`` towards the top of the image."""
     camera = look_at(eye, pivot, up, np.eye(3), 1, 1)
     return Pose(pivot, camera.rotation, float(np.linalg.norm(pivot - eye)), field_of_view, up)
 
@@ -155,14 +155,14 @@ def interpolate_poses(start: Pose, end: Pose, fraction: float) -> Pose:
 
 
 def _rotation_matrix(vector: Array) -> Array:
-    """The rotation matrix of a rotation vector (3,), whose length is the angle in radians."""
+    """Convert a rotation vector (3,), whose length is the angle in radians, to a rotation matrix."""
     return np.asarray(cv2.Rodrigues(np.ascontiguousarray(vector, np.float64))[0], np.float64)
 
 
 def _nearest_rotation(rotation: Array) -> Array:
     """Return the rotation matrix that is nearest to ``rotation``.
 
-    The function removes rounding errors that accumulate over thousands of small rotations.
+    This removes the rounding errors that accumulate over thousands of small rotations.
     """
     left, _, right = np.linalg.svd(rotation)
     return left @ right

@@ -1,4 +1,4 @@
-"""Recorded camera paths and their file format. A path contains a pose and a frame index per sample."""
+"""Records camera paths, and reads and writes their files. Each sample of a path is a pose and a frame index."""
 
 from __future__ import annotations
 
@@ -63,13 +63,12 @@ class PathRecorder:
             self._samples.append(PathSample(pose, frame))
 
     def path(self) -> RecordedPath:
-        """The path with all samples that have been recorded until now."""
+        """Return the path with all samples recorded so far."""
         return RecordedPath(tuple(self._samples))
 
 
 def load_recorded_path(path: Path) -> RecordedPath:
-    """Read a recorded path. If the file is not valid, raises UserError with a message that names the file and the
-    fix."""
+    """Read a recorded path. Raises UserError, which names the file and the fix, if the file is not valid."""
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise ValueError(f"expected at most {_MAX_BYTES} bytes")

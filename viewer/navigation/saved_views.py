@@ -18,12 +18,12 @@ _MAX_SCENES = 200
 
 
 def default_file() -> Path:
-    """Path of the file with saved views, in the platform's folder for application state."""
+    """Return the path of the file with saved views, in the platform's folder for application state."""
     return platformdirs.user_state_path("fourd") / "views.json"
 
 
 def pose_to_json(pose: Pose) -> dict[str, Any]:
-    """The pose as JSON values."""
+    """Convert a pose to JSON values."""
     return {
         "pivot": pose.pivot.tolist(),
         "rotation": pose.rotation.tolist(),
@@ -35,7 +35,7 @@ def pose_to_json(pose: Pose) -> dict[str, Any]:
 
 
 def pose_from_json(content: Any) -> Pose:
-    """The inverse of :func:`pose_to_json`. Raises ValueError when ``content`` is not a valid pose."""
+    """Convert JSON values from :func:`pose_to_json` to a pose. Raises ValueError if ``content`` is not a valid pose."""
     try:
         pose = Pose(
             pivot=_numbers(content["pivot"], (3,)),
@@ -56,7 +56,7 @@ def pose_from_json(content: Any) -> Pose:
 class SavedViews:
     """The last pose of each scene, stored in a file.
 
-    A file that cannot be read counts as empty. If writing fails, the old file stays unchanged.
+    A file that cannot be read counts as empty. If the file cannot be written, the old one stays unchanged.
     """
 
     def __init__(self, file: Path) -> None:

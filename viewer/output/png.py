@@ -12,7 +12,7 @@ from fourd.files import write_bytes_atomically
 
 
 def write_png(path: Path, rgb: NDArray[np.uint8]) -> None:
-    """Write an image, (H, W, 3) uint8, to a file atomically. Raises OSError, for example when the disk is full."""
+    """Write an image (H, W, 3) of type uint8 to a file atomically. Raises OSError, for example if the disk is full."""
     # cv2.imwrite is not used, because it reports no error when the disk is full.
     _, content = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
     write_bytes_atomically(path, content.tobytes())

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fourd.errors import UserError
 from fourd.files import atomic_path, remove_unfinished_file
 
-# The code 1 stands for BT.709 in ITU-T H.273, and for limited range in FFmpeg.
+# The code 1 means BT.709 for matrix, primaries and transfer (ITU-T H.273), and limited range for FFmpeg's color_range.
 _BT709 = 1
 _ENCODERS = ("libx264", "libopenh264", "h264_videotoolbox", "h264")
 
@@ -24,12 +24,12 @@ def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *,
 
     Args:
         path: the file, which is written atomically. If ``images`` raises an exception, no file is written.
-        images: images (H, W, 3) of one size, with RGB colours as uint8 or as float in [0, 1]. The images are read one
-            by one, so ``images`` can be a generator, and the use of memory does not grow with the number of images. If
-            a side is odd, the last row or column is repeated, because yuv420p needs even sides.
+        images: RGB images (H, W, 3) of one size, as uint8 or as float in [0, 1]. They are read one by one, so
+            ``images`` can be a generator, and memory use does not grow with their number. If a side is odd, the last
+            row or column is repeated, because yuv420p needs even sides.
         fps: images per second, above 0.
         quality: constant rate factor (CRF) of x264, from 0 (lossless) to 51. A smaller CRF gives better quality and a
-            larger file.
+            larger file. Other encoders ignore it.
 
     Returns:
         The number of images written.

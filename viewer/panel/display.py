@@ -1,4 +1,4 @@
-"""The Display section, which sets the number of layers K, the point size, the density and the background."""
+"""The Display section, in which the user sets the number of layers K, point size, density and background."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _LABEL_WIDTH = 110.0
 
 
 def draw_panel(state: ViewerState) -> None:
-    """Draw the notices. If the panel is open, draw the panel as well."""
+    """Draw the notices and, if the panel is open, its sections."""
     scale = text_scale(state)
     imgui.get_style().font_scale_dpi = scale
     if state.is_panel_open:

@@ -30,7 +30,7 @@ def _draw(state: ViewerState) -> None:
 
 
 def _draw_plot(state: ViewerState, parts: list[str]) -> None:
-    """Draw a stacked plot of the time that each part of an image takes, such as sorting and drawing."""
+    """Draw a stacked plot of the time that each part of an image, such as sorting or drawing, takes."""
     tops = state.timings.cumulative()
     scale = text_scale(state)
     size = imgui.ImVec2(scale * (PANEL_WIDTH - 20), scale * _PLOT_HEIGHT)

@@ -29,10 +29,10 @@ class Section:
 
 
 def text_scale(state: ViewerState) -> float:
-    """Return the scale of text and widgets.
+    """Return the scale of text and widgets, which is usually the display's scale factor.
 
-    The scale is usually the display's scale factor. The scale is 1 if one window coordinate covers more than one pixel
-    of the framebuffer, because text is then already enlarged.
+    If one window coordinate covers more than one pixel of the framebuffer, the result is 1, because text is already
+    enlarged.
     """
     is_scaled = state.window.framebuffer_size[0] > state.window.size[0]
     return 1.0 if is_scaled else state.window.content_scale

@@ -23,7 +23,7 @@ def _draw(state: ViewerState) -> None:
     if imgui.button("Save"):
         state.defer(state.save_style)
     imgui.same_line()
-    if imgui.button("Reset"):  # choosing the style again reads its file again
+    if imgui.button("Reset"):  # choosing the same style reads its file again
         session.choose_style(session.style_name)
     imgui.same_line()
     imgui.text_disabled(f"stylizing: {state.timings.medians()['style']:.1f} ms")

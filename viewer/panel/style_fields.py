@@ -1,4 +1,4 @@
-"""The widgets that change the fields of a style. Each function takes a style, and returns the style with the user's
+"""Draws the widgets that change the fields of a style. Each function takes a style, and returns it with the user's
 changes."""
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Group:
     Attributes:
         title: title of the group.
         draw: draws the widgets and returns the changed style. Raises ValueError if a value is not valid for the style.
-        applies: returns whether the fields of the group have an effect on a given style.
+        applies: returns True if the fields of the group have an effect on a given style.
     """
 
     title: str
@@ -164,11 +164,11 @@ GROUPS: tuple[Group, ...] = (
 def edit_style(style: Style, report: Callable[[str], None]) -> Style:
     """Draw the groups that have an effect, and return the style after the user's input.
 
-    Without input, the style is returned unchanged, because each widget returns its old value exactly.
+    If there is no input, the result equals ``style`` exactly, because widgets return unchanged values without rounding.
 
     Args:
-        report: function that receives a message of one line if the user enters a value that is not valid for the style.
-            A group with an invalid value keeps its old values.
+        report: receives a one-line message if the user enters a value that is not valid for the style. The group with
+            the invalid value keeps its old values.
     """
     for group in GROUPS:
         if not group.applies(style) or not imgui.tree_node(group.title):

@@ -15,8 +15,7 @@ class Playback:
         fps: frames per second at speed 1.
         speed: factor by which ``fps`` is multiplied. At a negative speed, the scene plays backwards.
         is_playing: whether :meth:`advance` moves the clock.
-        is_looping: whether playback wraps around at the first and the last frame. Without looping, playback pauses at
-            the first and the last frame.
+        is_looping: whether playback wraps around at the first and the last frame, instead of pausing there.
     """
 
     frame_count: int
@@ -33,7 +32,7 @@ class Playback:
 
     @property
     def direction(self) -> int:
-        """1 when playing forwards, -1 when playing backwards."""
+        """1 for playback forwards, -1 for playback backwards."""
         return -1 if self.speed < 0 else 1
 
     def advance(self, seconds: float) -> None:
@@ -50,7 +49,7 @@ class Playback:
             self.is_playing = False
 
     def seconds_to_next_frame(self) -> float:
-        """Seconds until the frame changes; infinite while paused."""
+        """Return the seconds until the frame changes, which are infinite while the clock is paused."""
         if not self.is_playing or self.frame_count < 2 or self.speed == 0:
             return math.inf
         fraction = self._position - int(self._position)
@@ -58,7 +57,7 @@ class Playback:
         return frames / (self.fps * abs(self.speed))
 
     def seek(self, frame: int) -> None:
-        """Seek to a frame. The index is clamped to the frames of the scene."""
+        """Seek to a frame. Its index is clamped to the frames of the scene."""
         self._position = float(min(max(frame, 0), self.frame_count - 1))
 
     def step(self, frames: int) -> None:
@@ -67,7 +66,7 @@ class Playback:
         self._position = float((self.frame + frames) % self.frame_count)
 
     def toggle(self) -> None:
-        """Play or pause. At the last frame of a scene that does not loop, playback restarts at the first frame."""
+        """Play or pause. If playback does not loop and has reached its last frame, it restarts at the first one."""
         self.is_playing = not self.is_playing
         last = self.frame_count - 1 if self.direction > 0 else 0
         if self.is_playing and not self.is_looping and self.frame == last:

@@ -1,4 +1,4 @@
-"""Prefetches frames in playback order in a thread, within a memory limit."""
+"""Prefetches frames in playback order, in a thread and within a memory limit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MAX_FRAMES = 32
 
 
 class BakedFrameSource(Protocol):
-    """Reads baked frames. Callers must not use a source from several threads at the same time."""
+    """Reads baked frames. A source is not thread-safe."""
 
     @property
     def manifest(self) -> SceneManifest:
@@ -30,13 +30,13 @@ class BakedFrameSource(Protocol):
 
 
 class FramePrefetcher:
-    """Returns buffered frames and reads the following frames in a thread. Only one thread may call :meth:`get`."""
+    """Returns buffered frames, and reads the next ones in a thread. Only one thread may call :meth:`get`."""
 
     def __init__(self, source: BakedFrameSource, buffer_bytes: int = BUFFER_BYTES) -> None:
         """The prefetcher takes ownership of ``source``, and :meth:`close` closes the source.
 
         ``buffer_bytes`` limits the memory of the buffered frames plus the source's background. At least two frames are
-        buffered, even if two frames exceed the limit.
+        buffered, even if they exceed the limit.
         """
         self._source = source
         self._frame_count = source.manifest.frame_count
@@ -45,15 +45,17 @@ class FramePrefetcher:
         self._buffer: dict[int, BakedFrame | UserError] = {}
         self._head, self._direction = 0, 1
         self._has_started = False
-        self._largest: int | None = None  # Size in bytes of the largest frame that has been read.
-        self._generation = 0  # Number of calls of invalidate(). Frames that were read before the last call are dropped.
+        self._largest: int | None = None  # Size in bytes of the largest frame read so far.
+        self._generation = 0  # Number of calls of invalidate(), to drop frames whose reading began before such a call.
         self._is_stopped = False
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="frame reader", daemon=True)
         self._thread.start()
 
     def get(self, index: int, direction: int = 1, wait: bool = False) -> BakedFrame | None:
-        """Return frame ``index``, or None while the frame is being read. Prefetch the next frames in ``direction``.
+        """Return frame ``index``, and start to prefetch the next frames in ``direction``.
+
+        While the frame is being read, the result is None or, if ``wait`` is True, the call waits for the frame.
 
         Raises UserError if the frame is damaged, and IndexError if the scene has no frame ``index``.
         """
@@ -68,8 +70,7 @@ class FramePrefetcher:
             self._raise_failure()
             found = self._buffer.get(index)
         if isinstance(found, UserError):
-            # A new exception is raised, because the traceback of an exception grows each time the same exception is
-            # raised.
+            # A new exception is raised each time, because raising the same one again would make its traceback grow.
             raise UserError(str(found))
         return found
 
@@ -112,7 +113,7 @@ class FramePrefetcher:
                 self._changed.notify_all()
 
     def _read_next(self) -> bool:
-        """Wait until a frame is needed, then read the frame. Returns False after :meth:`close`."""
+        """Wait until a frame is needed, then read it. Returns False after :meth:`close`."""
         with self._changed:
             index = self._first_missing()
             while not self._is_stopped and index is None:
@@ -149,10 +150,10 @@ class FramePrefetcher:
             del self._buffer[index]
 
     def _capacity(self) -> int:
-        """Number of frames that fit into the memory limit.
+        """Return the number of frames that fit into the memory limit.
 
-        Each frame is assumed to be as large as the largest frame that has been read, so that evicting any frame makes
-        room for any other frame.
+        Each frame is assumed to be as large as the largest one read so far, so that evicting any frame makes room for
+        any other.
         """
         if self._largest is None:
             return min(_MIN_FRAMES, self._frame_count)
@@ -160,6 +161,6 @@ class FramePrefetcher:
         return min(max(_MIN_FRAMES, fitting), _MAX_FRAMES, self._frame_count)
 
     def _playback_order(self) -> Iterator[int]:
-        """Indices of all frames in playback order, starting at the current frame."""
+        """Yield the indices of all frames in playback order, starting at the current frame."""
         for step in range(self._frame_count):
             yield (self._head + self._direction * step) % self._frame_count

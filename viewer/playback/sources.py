@@ -1,4 +1,4 @@
-"""Sources of baked frames. A source is a `.4dv` file, or a run whose newest checkpoint is baked frame by frame."""
+"""Reads baked frames from `.4dv` files and other scenes, or bakes them from a run's newest checkpoint."""
 
 from __future__ import annotations
 
@@ -21,8 +21,7 @@ _NICENESS = 10
 
 
 class RunSource:
-    """Bakes frames of the newest checkpoint of a run. This class needs torch. Callers must not use a source from
-    several threads at the same time.
+    """Bakes frames of the newest checkpoint of a run. This class needs torch and is not thread-safe.
 
     Raises UserError when the folder is not a run, has no readable checkpoint, or cannot be baked.
     """
@@ -106,7 +105,7 @@ def _lower_priority() -> None:
 def open_frame_source(path: Location) -> BakedFrameSource:
     """Open a `.4dv` file or its URL, a run's folder, a file of Gaussian splats or a folder of such files.
 
-    If this fails, raises UserError with a message that names the file and the fix.
+    Raises UserError, which names the file and the fix, if the scene or run cannot be opened.
     """
     source: BakedFrameSource = SceneReader(path) if isinstance(path, StorageUrl) else _open_local(path)
     manifest = source.manifest

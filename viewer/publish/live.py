@@ -1,5 +1,5 @@
-"""Writes scenes for browsers, and writes a scene again whenever its source changes. The source is a `.4dv` file that
-the user exports again, or a run that is training."""
+"""Writes scenes for browsers, and writes a scene again whenever its source changes. The source is a `.4dv` file, which
+the user may export again, or a run, which may be training."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class LiveScene:
 
     Args:
         source: a `.4dv` file or a run.
-        folder: the folder in which the scene and its poster are written. The folder must not exist.
+        folder: the folder to which the scene and its poster are written. It must not exist.
         tier: tier with which a scene is packed, if it is not packed yet.
         console: prints progress and errors of updates.
 
     Attributes:
-        version: identifies the version of the source that was written last, or an empty text.
-        error: the reason why the newest version could not be written, or an empty text.
+        version: identifies the version of the source that was written last, or an empty string.
+        error: the reason why the newest version could not be written, or an empty string.
     """
 
     def __init__(self, source: Path, folder: Path, tier: Tier, console: Console) -> None:
@@ -46,7 +46,7 @@ class LiveScene:
         folder.mkdir(parents=True)
 
     def has_news(self) -> bool:
-        """Whether the source has a version that :meth:`update` has not tried to write."""
+        """Return True if the source has a version that :meth:`update` has not tried to write."""
         return self._read_version() not in (self._tried, "")
 
     def write(self) -> None:
@@ -56,7 +56,7 @@ class LiveScene:
         self.version, self.error = self._tried, ""
 
     def update(self) -> bool:
-        """Write the scene again if the source has changed. Returns whether the scene was written.
+        """Write the scene again if the source has changed. Returns True if the scene was written.
 
         After an error, the last scene is kept. The error is printed once per version of the source.
         """
@@ -67,7 +67,7 @@ class LiveScene:
             self.write()
         except FileNotFoundError:
             self._tried = before
-            return False  # Training has just replaced the checkpoint, and the next call reads the new one.
+            return False  # Training has just replaced the checkpoint. The next call reads the new one.
         except (UserError, OSError) as error:
             self.error = str(error)
             self._console.print(f"{self._source}: not updated: {error}", soft_wrap=True, markup=False)
@@ -75,8 +75,8 @@ class LiveScene:
         return True
 
     def _read_version(self) -> str:
-        """Return a text that identifies the current version of the source, or an empty text if the source is
-        temporarily missing."""
+        """Return a string that identifies the current version of the source. It is empty if the source is temporarily
+        missing."""
         with suppress(OSError):
             if self._source.is_dir():
                 parts = segment_folders(self._source) or [self._source]
@@ -100,11 +100,11 @@ class LiveScene:
 
 
 class LiveSite:
-    """Writes the site of a source, and writes the scene of the site again when the source changes.
+    """Writes a web page that plays a source, and writes the page's scene again when the source changes.
 
     Args:
         source: a `.4dv` file or a run.
-        folder: the folder of the site. The folder must not exist.
+        folder: the folder to write. It must not exist.
         tier: tier with which a scene is packed, if it is not packed yet.
         console: prints progress and errors of updates.
         styles: the styles that the page offers, by name. If None, the page offers the presets.
@@ -141,7 +141,7 @@ class LiveSite:
 
 
 def _bake(run: Path, scene: Path, console: Console) -> None:
-    """Bake the newest checkpoint of a run. The imports are inside this function, because only runs need torch."""
+    """Bake the newest checkpoint of a run. The imports are local, because only runs need torch."""
     from fourd.baking.bake import bake_run
     from fourd.training.segments.segmented_run import open_trained
 

@@ -1,4 +1,4 @@
-"""A web server for one folder, with range requests. By default, only this machine can connect."""
+"""Serves one folder over HTTP, with range requests. By default, only this machine can connect."""
 
 from __future__ import annotations
 
@@ -109,8 +109,8 @@ class SiteHandler(BaseHTTPRequestHandler):
         while left > 0:
             content = stream.read(min(left, _CHUNK))
             if not content:
-                # The file has become shorter since the request. The server closes the connection, so that the client
-                # detects the missing bytes.
+                # The file has become shorter since the request. To let the client detect the missing bytes, the server
+                # closes the connection.
                 self.close_connection = True
                 return
             try:
@@ -163,8 +163,8 @@ class SiteServer(ThreadingHTTPServer):
             if error.errno == errno.EADDRINUSE:
                 raise UserError(f"--port {port}: expected a free port, got one in use; choose another one") from error
             raise UserError(f"--host {host} --port {port}: cannot listen ({error.strerror or error})") from error
-        # If the host is not a valid name, for example because it has a control character, the socket raises TypeError
-        # or UnicodeError.
+        # If the host is not a valid name, for example because it contains a control character, the socket raises
+        # TypeError or UnicodeError, which is a ValueError.
         except (OverflowError, TypeError, ValueError) as error:
             raise UserError(f"--host {host} --port {port}: expected an address and a port, got '{error}'") from error
 
@@ -180,7 +180,7 @@ class SiteServer(ThreadingHTTPServer):
 
 
 def find_file(folder: Path, target: str) -> Path | None:
-    """Return the file of a request, or None if the folder has no such file.
+    """Return the file that a request names, or None if the folder has no such file.
 
     Args:
         folder: resolved path of the served folder.

@@ -47,15 +47,14 @@ def write_site(
 
     Args:
         source: a `.4dv` file of any version.
-        out: the folder to write. If the folder contains an earlier site, it is replaced.
+        out: the folder to write. An earlier site in it is replaced.
         tier: tier with which the scene is packed, if it is not packed yet.
-        title: title of the page. The default is the name of the file.
+        title: title of the page, or None for the name of the source file.
         track: reports progress.
-        level: index of the tier's level (a set of quantisation steps), see
+        level: index of the tier's level (a set of quantisation steps), as for
             :func:`fourd.baking.packing.pack.pack_scene`.
         styles: the styles that the page offers, by name. If None, the page offers the presets.
-        has_normals: whether the written scene has normals, which styles need. If the source has no normals, they are
-            estimated.
+        has_normals: whether to write normals, which styles need. If the source has none, they are estimated.
 
     Raises:
         UserError: if ``source`` is not a valid scene, or if ``out`` contains files but no earlier site.
@@ -69,7 +68,7 @@ def write_site(
 
 
 def is_site(folder: Path) -> bool:
-    """Whether a folder has the files that :func:`write_site` writes."""
+    """Return True if a folder has the files that :func:`write_site` writes."""
     return all((folder / name).exists() for name in (PAGE_NAME, SCENE_NAME, PLAYER_FOLDER))
 
 
@@ -82,16 +81,15 @@ def write_scene(
     level: int | None = None,
     has_normals: bool = True,
 ) -> None:
-    """Write a scene in the form that browsers read: packed, with zlib. The arguments are those of :func:`write_site`.
-    Raises UserError."""
+    """Write a scene in the form that browsers read, which is packed and compressed with zlib. The arguments are those
+    of :func:`write_site`. Raises UserError."""
     reader = SceneReader(source)
     manifest = reader.manifest
     is_packed = manifest.encoding is not None
     reader.close()
     if manifest.frame_count == 0 or not manifest.cameras:
         raise UserError(f"{source}: expected a scene with frames and cameras, got none; export the run again")
-    # Players blend neighbouring views, so neighbouring views are stored one after the other. Players then need fewer
-    # requests.
+    # Neighbouring views are stored one after the other, so that players, which blend them, need fewer requests.
     order = order_by_azimuth(manifest.source_cameras, manifest.focus) if manifest.source_cameras else []
     storage = Storage("zlib", tuple(order))
     if is_packed:
@@ -115,8 +113,8 @@ def write_poster(scene: Path, out: Path) -> None:
 def copy_player(folder: Path, title: str, is_live: bool = False, styles: Mapping[str, Style] | None = None) -> None:
     """Copy the page and the player's modules, and write the styles that the player offers.
 
-    If ``is_live`` is True, the open page loads the scene file again whenever the file changes on the server. If
-    ``styles`` is None, the page offers the presets.
+    If ``is_live`` is True, an open page loads the scene file again whenever it changes on the server. If ``styles`` is
+    None, the page offers the presets.
     """
     with as_file(files("fourd.viewer") / "web") as web:
         _copy_modules(web, folder, styles, (*_NOT_SERVED, TRAINING_FOLDER))
@@ -129,8 +127,8 @@ def copy_player(folder: Path, title: str, is_live: bool = False, styles: Mapping
 
 
 def copy_training_page(folder: Path, title: str, styles: Mapping[str, Style] | None = None) -> None:
-    """Copy the page of a run, and the modules of the page and of the player. If ``styles`` is None, the player offers
-    the presets."""
+    """Copy the page of a run and the JavaScript modules of the page and its player. If ``styles`` is None, the player
+    offers the presets."""
     with as_file(files("fourd.viewer") / "web") as web:
         _copy_modules(web, folder, styles, _NOT_SERVED)
         page = (web / TRAINING_FOLDER / "index.html").read_text(encoding="utf-8")
@@ -145,8 +143,8 @@ def _copy_modules(web: Path, folder: Path, styles: Mapping[str, Style] | None, l
 
 
 def _write_page(folder: Path, page: str, title: str, modules: Sequence[str]) -> None:
-    """Write a page with preload links for all modules. Without the links, a browser would find a module only after
-    fetching another module that imports it."""
+    """Write a page with preload links for ``modules``. Without the links, a browser would request a module only after
+    it has fetched another one that imports it."""
     links = (f'<link rel="modulepreload" href="{name}" />' for name in modules)
     page = page.replace("{{title}}", html.escape(title, quote=True)).replace("{{preload}}", "\n    ".join(links))
     (folder / PAGE_NAME).write_text(page, encoding="utf-8")

@@ -1,5 +1,5 @@
-"""Writes the styles of the web player as a JSON file. The file contains the shaders of viewer/shaders/stylize, and the
-numbers and shade tables of styles. The code in viewer/web/stylize reads the file."""
+"""Writes the styles of the web player as a JSON file, which the code in viewer/web/stylize reads. It contains the
+shaders of viewer/shaders/stylize, and the numbers and shade tables of the styles."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _SHADERS = {
     "outlines": "stylize/outlines.frag",
 }
 _OF_THE_CAMERA = ("ray", "light", "detail_per_depth", "hatch_spacing", "paper")
-"""Names of the numbers of a style that depend on the camera. The player computes these numbers for each image."""
+"""Names of the numbers of a style that depend on the camera. The player computes them for each image."""
 
 
 def load_styles(paths: Iterable[Path]) -> dict[str, Style]:
@@ -52,7 +52,7 @@ def load_styles(paths: Iterable[Path]) -> dict[str, Style]:
 
 
 def write_styles(path: Path, styles: Mapping[str, Style]) -> None:
-    """Write the file that the player reads, atomically. Raises UserError if a shade map cannot be read."""
+    """Write the styles file of the player atomically. Raises UserError if a shade map cannot be read."""
     content = {
         "shaders": {name: read_shader_body(file) for name, file in _SHADERS.items()},
         "styles": [_describe(name, style) for name, style in styles.items()],
@@ -63,8 +63,9 @@ def write_styles(path: Path, styles: Mapping[str, Style]) -> None:
 
 def _describe(name: str, style: Style) -> dict[str, Any]:
     table = make_table(style)
-    # The axes of this camera are the axes of the world, so `light` keeps the axes of the style. The camera is at the
-    # distance 1 from the centre of the scene, so detail_per_depth equals the detail per distance.
+    # The exported numbers must not depend on a camera. This camera therefore has the axes of the world, so that `light`
+    # is not rotated, and is 1 unit from the centre of the scene, so that detail_per_depth equals the detail per
+    # distance.
     camera = Camera(np.eye(3), np.eye(3), np.zeros(3), 1, 1)
     parameters = view_style(style, table, camera, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
     numbers = asdict(parameters.numbers)

@@ -37,7 +37,7 @@ class CPURenderer:
         return (self._styled or StyledPlayer()).line_strength
 
     def render(self, request: RenderRequest) -> NDArray[np.uint8]:
-        """The rendered image, (H, W, 4) uint8. The next call of :meth:`render` overwrites the image."""
+        """Return the rendered image, (H, W, 4) uint8, which the next call of :meth:`render` overwrites."""
         shape = (request.camera.height, request.camera.width, 4)
         if self._pixels is None or self._pixels.shape != shape:
             self._pixels = zeros_aligned(shape, np.uint8)

@@ -1,4 +1,4 @@
-"""For `fourd render`: draws scenes and training runs with a style, or through a lens model."""
+"""Draws scenes and training runs in a style or through a lens model, for `fourd render`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Drawer(Protocol):
     def draw(
         self, frame: BakedFrame, camera: Camera, manifest: SceneManifest, layers: int | None, background: Colour
     ) -> NDArray[np.float32]:
-        """Draw a frame: RGB (H, W, 3) float32 in [0, 1]."""
+        """Draw a frame. Returns RGB (H, W, 3) float32 in [0, 1]."""
 
 
 @dataclass(frozen=True)

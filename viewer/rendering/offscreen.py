@@ -37,7 +37,7 @@ class OffscreenRenderer:
         self._canvas = None if self._context is None else _make_canvas(self._context)
 
     def render(self, request: RenderRequest) -> NDArray[np.uint8]:
-        """The rendered image, (H, W, 3) uint8, in a new array."""
+        """Return the rendered image as a new array, (H, W, 3) uint8."""
         if isinstance(self._renderer, CPURenderer):
             return self._renderer.render(request)[..., :3].copy()
         assert self._canvas is not None
@@ -62,7 +62,7 @@ class OffscreenRenderer:
 
 
 def _make_context(requested: RendererName | Literal["auto"]) -> moderngl.Context | None:
-    """An OpenGL context, or None if OpenGL is not available and the renderer is chosen automatically."""
+    """Create an OpenGL context. Returns None if OpenGL is not available and the renderer is chosen automatically."""
     from fourd.viewer.gl.context import offscreen_context
 
     try:

@@ -42,7 +42,7 @@ class Renderer(Protocol):
 
     @property
     def stale_images(self) -> int:
-        """Number of consecutive images, up to and including the last image, that were drawn with the depth order of an
+        """Number of images, up to and including the last one, that were drawn in succession with the depth order of an
         earlier request.
 
         The number is 0 if the last image was drawn with its own depth order.
@@ -54,9 +54,9 @@ class Renderer(Protocol):
 
     @property
     def style_seconds(self) -> float:
-        """Time of the stylizer in seconds, for the newest image whose time is known. Without a style, the time is 0.
+        """Time of the stylizer in seconds for the newest image whose time is known, or 0 if there is no style.
 
-        The time does not include the drawing of depths and normals. OpenGL renderers measure the time on the GPU.
+        It does not include the time to draw depths and normals. OpenGL renderers measure it on the GPU.
         """
 
     @property

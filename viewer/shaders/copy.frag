@@ -1,5 +1,5 @@
 #version 330 core
-// Copies an image that has the target's size. The blend mode decides how the image is combined with the target.
+// Copies an image that has the target's size. The blend mode determines how it is combined with the target's content.
 
 uniform sampler2D image;
 

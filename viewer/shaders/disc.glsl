@@ -1,4 +1,4 @@
-// Per-disc outputs that the vertex shaders of all geometry passes share.
+// The per-disc outputs of the vertex shaders of all geometry passes.
 
 uniform vec2 size;     // Width and height of the image in pixels.
 uniform bool upright;  // True: image row 0 is at the top of the framebuffer, as on screen. False: at the bottom.
@@ -8,12 +8,12 @@ in vec4 paint;  // Red, green, blue and density.
 
 flat out vec3 disc_centre;  // Centre in window coordinates, and 1 / radius^2.
 flat out vec4 tint;
-flat out float rank;  // The first disc in drawing order has rank 1.
+flat out float rank;  // Position in drawing order, counted from 1.
 
-const float RANKS = 16777216.0;  // Number of depths that a 24-bit depth buffer distinguishes.
+const float RANKS = 16777216.0;  // Number of distinct values in a 24-bit depth buffer.
 
-// Writes all outputs of one vertex. `position` is in [-1, 1] across the viewport, and its y axis points down in the
-// image.
+// Writes all outputs of one vertex. `position` ranges from -1 to 1 across the viewport, and its y axis points down in
+// the image.
 void write_outputs(vec2 position, int index) {
     disc_centre = vec3(disc.x, upright ? size.y - disc.y : disc.y, disc.z);
     tint = paint;

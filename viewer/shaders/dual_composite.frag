@@ -1,6 +1,6 @@
 #version 330 core
-// Composites the two layers that a dual peeling pass has found. The nearer layer is composited behind `front`. The
-// farther layer is composited in front of `back`.
+// Composites the two layers that a dual peeling pass has found: the nearer one behind `front`, and the farther one in
+// front of `back`.
 
 uniform sampler2D bounds;  // Minus the rank of the nearer layer, and the rank of the farther layer.
 uniform sampler2D discs;   // Two texels per disc, in order of rank.
@@ -11,7 +11,7 @@ uniform bool front_only;
 layout(location = 0) out vec4 next_front;
 layout(location = 1) out vec4 next_back;
 
-// Returns the premultiplied colour that the disc with this rank has at the fragment.
+// Returns the premultiplied colour of the disc with this rank at the fragment.
 vec4 layer(float rank) {
     int texel = 2 * (int(rank) - 1);
     ivec2 at = ivec2(texel & (TEXELS_PER_ROW - 1), texel / TEXELS_PER_ROW);

@@ -1,11 +1,11 @@
 #version 330 core
-// Geometry pass of dual depth peeling (Bavoil and Myers 2008). With max blending, one pass finds the nearest and the
-// farthest remaining layer of each pixel. Ranks replace depths, because two discs can have the same depth, but not the
+// Geometry pass of dual depth peeling (Bavoil and Myers 2008). By max blending, one pass finds the nearest and the
+// farthest remaining layer of each pixel. Ranks replace depths, because two discs can have the same depth but not the
 // same rank.
 #include "alpha.glsl"
 
-// The previous pass has stored two values in each pixel: minus the rank of the nearest layer, and the rank of the
-// farthest layer. In pixels without layers, both values are -NONE.
+// The result of the previous pass in each pixel: minus the rank of the nearest layer, and the rank of the farthest
+// layer. In pixels without layers, both values are -NONE.
 uniform sampler2D bounds;
 uniform bool front_only;
 

@@ -1,15 +1,15 @@
 #version 330 core
-// Composites a premultiplied image over a uniform background, and applies the pixel filter. Row 0 is the top row of the
-// premultiplied image.
+// Composites a premultiplied image over a uniform background, and applies the pixel filter. Row 0 of the input is the
+// top of the image.
 
 uniform sampler2D image;
 uniform vec3 background;
-uniform float pixel_filter;  // Weight of a neighbour in the 3-tap filter along rows and along columns; 0: no filter.
-uniform bool is_picture;     // Whether the result is limited to [0, 1].
+uniform float pixel_filter;  // Weight of each neighbour in the 3-tap filters along rows and columns; 0 for none.
+uniform bool is_picture;     // Whether the result is clamped to [0, 1].
 
 out vec4 colour;
 
-// Returns the colour of a pixel, composited over the background. Outside the image, the nearest pixel is repeated.
+// Returns the colour of a pixel, composited over the background. Beyond the border, the nearest pixel is repeated.
 vec4 over_background(ivec2 pixel) {
     vec4 source = texelFetch(image, clamp(pixel, ivec2(0), textureSize(image, 0) - 1), 0);
     vec3 sum = source.rgb + (1.0 - source.a) * background;

@@ -1,6 +1,6 @@
 #version 330 core
-// Keeps the pixels in which a dual peeling pass has found layers. If `visible_only` is true, a pixel is kept only if
-// its next layer is visible through the layers in front. An occlusion query counts the kept pixels.
+// Keeps only the pixels in which a dual peeling pass has found layers, so that an occlusion query can count them. If
+// `visible_only` is true, it keeps only pixels whose next layer is visible through the layers in front.
 
 uniform sampler2D bounds;
 uniform sampler2D front;

@@ -1,13 +1,12 @@
 #version 330 core
 #include "stylize/octahedral.glsl"
-// Projects and shades one point. Transform feedback stores the result once per image, and all geometry passes draw the
-// stored result. The operations, and their order, are the same as in fourd/ops/points/reference.py and
-// fourd/baking/shade.py.
+// Projects and shades one point. Transform feedback stores the result, once per image, for all geometry passes. The
+// operations and their order are the same as in fourd/ops/points/reference.py and fourd/baking/shade.py.
 
 uniform sampler2D xyz;            // The textures xyz, radius and density have one texel per point.
 uniform sampler2D radius;
 uniform sampler2D density;
-uniform sampler2D sh;             // Twelve texels per point: 16 coefficients of red, then of green, then of blue.
+uniform sampler2D sh;             // Twelve texels per point: 16 coefficients each for red, green and blue.
 uniform sampler2D blend_weights;  // One texel per point and source view.
 uniform sampler2D rgb;            // One texel per point and source view.
 uniform int views;                // Number of source views.
@@ -24,14 +23,14 @@ uniform vec3 camera_centre;
 uniform float near;
 
 uniform int blended_views[64];  // Indices of the source views to blend.
-uniform float view_weights[64];  // Factors that multiply the blend weights of these views.
+uniform float view_weights[64];  // Factors for the blend weights of these views.
 uniform int blended_count;
 uniform float sh_range;
 uniform float sh_base;
 
 uniform sampler2D normals;  // One texel per point: an octahedral normal in world axes. Not used by COLOURS.
 uniform int painted;        // The quantity that the discs show: COLOURS, NORMALS or DEPTHS.
-uniform float depth_unit;   // Depths are written as multiples of this length in world units.
+uniform float depth_unit;   // Depths are written as multiples of this length, which is in world units.
 
 const int COLOURS = 0;
 const int NORMALS = 1;  // The normal times front_weight.

@@ -1,6 +1,6 @@
 #version 330 core
-// Outputs the premultiplied colour of a disc. Discs are drawn from the farthest to the nearest, and each disc is
-// blended over the earlier discs.
+// Outputs the premultiplied colour of a disc. Discs are drawn from the farthest to the nearest, and each is blended
+// over the earlier ones.
 
 #include "alpha.glsl"
 

@@ -1,7 +1,7 @@
 #version 330 core
 // Draws the bounding square of a disc as a point sprite. A sprite needs a quarter of the vertices of a quad, but
-// drivers limit the size of sprites. OpenGL drops sprites whose centre is outside the viewport, so the viewport extends
-// past the image by `margin`.
+// drivers limit its size. The viewport extends past the image by `margin`, because OpenGL drops sprites whose centre is
+// outside the viewport.
 #include "disc.glsl"
 
 uniform float margin;  // Width in pixels by which the viewport extends past the image.

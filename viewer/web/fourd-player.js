@@ -15,7 +15,7 @@ import { VrSession, supportsVr } from "./xr/vr_session.js";
 
 const SPINNER_DELAY_MS = 300;
 const QUIET_MS = 3000;
-/** Time in milliseconds between two requests that ask the server whether the scene has changed. */
+/** Interval in milliseconds between checks for a changed scene on the server. */
 const LIVE_MS = 2000;
 
 /** State that an element keeps when it opens a changed version of its scene.
@@ -25,9 +25,9 @@ const LIVE_MS = 2000;
  * The element `<fourd-player src="scene.4dv">`, which plays a packed scene.
  *
  * Attributes: `src`, `poster` (image that is shown first), `autoplay`, `controls="none"` (no buttons), `background`
- * (a colour such as #203040), `stylize` (name of a style), `mode="reference"` (exact depth peeling), `links` (the address of the page contains the
- * view and the time), `timeout` (seconds without data after which a request is repeated, 15 by default), `live` (the
- * scene is opened again when it changes on the server).
+ * (a colour such as #203040), `stylize` (name of a style), `mode="reference"` (exact depth peeling), `links` (the
+ * page's address contains the view and the time), `timeout` (seconds without data after which a request is repeated, 15
+ * by default), `live` (the scene is opened again when it changes on the server).
  * Events: `ready` after the first image, and `error`.
  */
 export class FourdPlayer extends HTMLElement {
@@ -55,7 +55,7 @@ export class FourdPlayer extends HTMLElement {
     this.firstImageMs = 0;
     this.styleMenu = new StyleMenu(this);
     this.controls = new Controls(this.panel.canvas, this, () => this.stage?.pose ?? null, (pose) => this.stage?.setPose(pose));
-    /** Shows the view of a link that the user opens while the page is already shown. */
+    /** Shows the view of a link that the user opens in the page that is already open. */
     this.followLink = () => this.#follow(location.hash);
     this.#listen();
     addShortcuts(this);
@@ -166,7 +166,7 @@ export class FourdPlayer extends HTMLElement {
     change.catch(() => this.panel.showNote("The browser does not allow full screen here."));
   }
 
-  /** Starts or ends the display of the scene in a headset. Browsers allow the start only while they handle a click. */
+  /** Starts or ends showing the scene in a headset. Browsers allow the start only while they handle a click. */
   async toggleVr() {
     if (this.vr) return this.vr.end();
     const { stage } = this;

@@ -18,16 +18,16 @@ const IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
  * An image to draw. Matrices are those of OpenGL, three.js and WebXR: 16 numbers, column-major.
  * @typedef {object} View
  * @property {ArrayLike<number>} viewMatrix Maps the host's world to camera coordinates (x right, y up, z backward).
- * @property {ArrayLike<number>} projectionMatrix A perspective projection to the depths -1 to 1.
+ * @property {ArrayLike<number>} projectionMatrix A perspective projection that maps depths to the range from -1 to 1.
  * @property {[number, number, number, number]} viewport Corner (x, y) at the bottom left, width and height, in pixels.
  */
 
 /**
  * A packed scene that is drawn into the WebGL 2 context of another program (the host), such as three.js.
  *
- * Call `update` once per displayed image, and then `draw` for each view, after the host has drawn its opaque objects.
- * Both `update` and `draw` change the state of WebGL. If the host caches this state, it must reset the cache (in
- * three.js: `renderer.resetState()`).
+ * Once per displayed image, call `update` and then, after the host has drawn its opaque objects, `draw` for each view.
+ * Both functions change the WebGL state. If the host caches this state, it must reset the cache afterwards (in
+ * three.js, with `renderer.resetState()`).
  */
 export class FourdScene {
   /**
@@ -55,8 +55,7 @@ export class FourdScene {
     this.points = new ProjectedPoints(gl, file.manifest);
     this.renderer = new HostRenderer(gl, file.manifest, this.points);
     this.playback = new Playback(file, pool, () => {}, failed);
-    /** The matrix that maps the scene's world to the host's world. This matrix consists of a rotation, a translation
-     * and a uniform scale. */
+    /** The matrix that maps the scene's world to the host's world, by a rotation, a translation and a uniform scale. */
     this.matrix = /** @type {ArrayLike<number>} */ (IDENTITY);
   }
 
@@ -66,10 +65,10 @@ export class FourdScene {
   }
 
   /**
-   * Places the scene upright. The focus of the scene is then at the host's origin, the up direction of its cameras is
-   * +y, and the viewing direction of its first camera is -z.
-   * @param {number} distance Distance of the first camera from the origin, in the host's units. This distance
-   *   determines the scale of the scene.
+   * Places the scene upright in the host's world: its focus at the origin, the up direction of its cameras along +y,
+   * and the horizontal viewing direction of its first camera along -z.
+   * @param {number} distance Distance of the first camera from the origin in the host's units, which determines the
+   *   scale of the scene.
    */
   placeUpright(distance) {
     const { cameras, focus } = this.manifest;
@@ -86,7 +85,7 @@ export class FourdScene {
   }
 
   /**
-   * Whether `draw` shows the current frame with all source views. `view` must have been passed to `update`.
+   * Whether `draw` shows the current frame with all source views from `view`, which must have been passed to `update`.
    * @param {View} view
    */
   isSettled(view) {
@@ -96,7 +95,7 @@ export class FourdScene {
   /**
    * Advances the time by `elapsed` seconds, loads frames and sorts their points for a view.
    *
-   * Both eyes of a headset share one depth order. The order is exact if both eyes look in the same direction, and no
+   * Both eyes of a headset share one depth order. It is exact for both if they look in the same direction and neither
    * eye is in front of the other.
    * @param {number} elapsed
    * @param {View} view
@@ -106,17 +105,16 @@ export class FourdScene {
   }
 
   /**
-   * Composites the points over the content of a framebuffer. Colours are sRGB, as in images. Points behind the host's
-   * objects are not drawn. The K nearest of the remaining points are composited at each pixel.
+   * Composites the points over the content of a framebuffer. Colours are sRGB, as in images. At each pixel, the K
+   * nearest points in front of the host's objects are composited.
    * @param {View} view
    * @param {object} [target]
    * @param {WebGLFramebuffer | null} [target.framebuffer] null, the default, is the canvas.
    * @param {WebGLTexture | null} [target.depthTexture] Depth of the host's objects, which hide the points behind them.
-   *   The texture has one texel per pixel of the framebuffer. The texture must have the filter NEAREST, must not be
-   *   multisampled, and must not be attached to the framebuffer.
-   * @param {boolean} [target.writesDepth] Whether the mean depth of the points is written into the framebuffer's depth
-   *   buffer, at pixels where the alpha of the points is at least 0.5. Objects that the host draws later are then
-   *   hidden by the points.
+   *   The texture must have one texel per framebuffer pixel and the filter NEAREST. It must not be multisampled or
+   *   attached to the framebuffer.
+   * @param {boolean} [target.writesDepth] Whether the points' mean depth is written into the framebuffer's depth
+   *   buffer, at pixels where their alpha is at least 0.5, so that the points hide objects that the host draws later.
    * @param {View} [target.selectedFor] View for which the source views are selected, by default `view`. Pass the same
    *   view for both eyes of a headset.
    */

@@ -62,8 +62,8 @@ void blend_backward(const Mesh& mesh, const Images& images, const Settings& sett
         loops.blend_backward(plan, rows_of(images, task), gradients, to);
     });
     if (!gradients.positions) return;
-    // Each worker thread sums the contributions to one range of vertices, in the order of the pixels. The sums
-    // therefore do not depend on the number of workers.
+    // Each worker thread sums the contributions to one range of vertices, in the order of the pixels, so the sums do
+    // not depend on the number of workers.
     const std::size_t vertices = mesh.vertices * (mesh.instanced ? images.count : 1);
     const std::size_t parts = static_cast<std::size_t>(team.size());
     team.run(team.size(), [&](int part, int) {

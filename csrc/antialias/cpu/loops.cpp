@@ -1,5 +1,5 @@
-// The loops quickly skip most pairs of pixels: those that show the same triangle, or two triangles without silhouette
-// edges.
+// For speed, the loops first skip most pairs of pixels: those that show the same triangle, or two triangles without
+// silhouette edges.
 #include "antialias/cpu/loops.h"
 
 #include <cstdint>

@@ -7,7 +7,7 @@
 
 namespace fourd::antialias::cuda {
 
-// The size in bytes of the `workspace` that blend() needs.
+// Returns the size in bytes of the `workspace` that blend() needs.
 std::size_t workspace_bytes(const Mesh& mesh, std::size_t images);
 
 void blend(const Mesh& mesh, const Images& images, void* workspace, float* out, std::uint8_t* codes, void* stream);

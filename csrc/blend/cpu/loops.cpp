@@ -1,4 +1,4 @@
-// Inner loops over batches of kRun consecutive points. Each SIMD lane computes one point. Each MLP weight is therefore
+// Inner loops over batches of kRun consecutive points. Each SIMD lane computes one point, so each MLP weight is
 // broadcast to all lanes, and values of different lanes are never added.
 #include <cmath>
 #include <cstring>
@@ -103,7 +103,7 @@ inline std::size_t sample_at(const Mlp& mlp, const Inputs& inputs, std::size_t v
     return (view * mlp.channels + c) * inputs.count + first;
 }
 
-// The values of hidden unit h for every point of a batch, before the ReLU.
+// Returns the values of hidden unit h for every point of a batch, before the ReLU.
 inline RunValues hidden_values(const Mlp& mlp, const RunValues& point, const RunValues* samples, int h) {
     RunValues sum = point;
     for (int c = 0; c < mlp.channels; ++c) {

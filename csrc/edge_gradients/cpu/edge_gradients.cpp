@@ -30,8 +30,8 @@ void edge_gradients(const Mesh& mesh, const antialias::Images& images, const ant
         loops.contribute(plan, antialias::rows_of(images, task), gradient, codes.data(),
                          contributions.data() + first[task]);
     });
-    // Each worker thread sums the contributions to one range of vertices, in the order of the pixels. The sums
-    // therefore do not depend on the number of workers.
+    // Each worker thread sums the contributions to one range of vertices, in the order of the pixels, so the sums do
+    // not depend on the number of workers.
     const std::size_t vertices = mesh.vertices * (mesh.instanced ? images.count : 1);
     const std::size_t parts = static_cast<std::size_t>(team.size());
     team.run(team.size(), [&](int part, int) {

@@ -7,7 +7,7 @@
 
 namespace fourd::edge_gradients::cuda {
 
-// The size in bytes of the `workspace` that edge_gradients() needs.
+// Returns the size in bytes of the `workspace` that edge_gradients() needs.
 std::size_t workspace_bytes(const antialias::Mesh& mesh, std::size_t images);
 
 void edge_gradients(const antialias::Mesh& mesh, const antialias::Images& images, void* workspace,

@@ -8,8 +8,8 @@
 namespace fourd::hashgrid {
 namespace {
 
-// Number of points per task. A task is small enough that the encodings of its points stay in the L2 cache while its
-// worker processes one level after another. A task is large enough that its points share many table entries.
+// Number of points per task. It is small enough that the encodings of the points stay in the L2 cache while the worker
+// processes one level after another, and large enough that the points share many table entries.
 constexpr std::size_t kPointsPerTask = 4096;
 
 // Sets the entries of a level, and the padding after them, to zero.
@@ -34,8 +34,8 @@ void encode_backward(const Query& query, const float* gradient, float* grad_tabl
     Team team(query.threads);
     if (grad_table != nullptr) {
         prefer_huge_pages(grad_table, query.entries * query.features * sizeof(float));
-        // One worker processes all points of a level, in order. Therefore, no locks are needed, and the order of
-        // additions is fixed.
+        // One worker processes all points of a level, in order, so no locks are needed, and the order of additions is
+        // fixed.
         team.run(query.level_count, [&](int task, int) {
             // The last tasks process small levels, so that the workers finish at about the same time.
             const int l = query.level_count - 1 - task;

@@ -96,8 +96,8 @@ FOURD_INLINE void find_cells_as(const Level& level, const Coordinates& from, Cel
     }
 }
 
-// Finds the cells of `count` points. The number `count` is at most kRun. This function is not forced inline: its code
-// is long, and all callers can share one copy.
+// Finds the cells of `count` points, at most kRun. This function is not forced inline: its code is long, and all
+// callers can share one copy.
 void find_cells(const Level& level, const float* coordinates, int count, Cells* out) {
     Coordinates run;
     gather(coordinates, count, &run);

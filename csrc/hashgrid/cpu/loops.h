@@ -19,8 +19,8 @@ struct Loops {
     const LevelLoops& of(int features) const { return by_features[features - 1]; }
 };
 
-// Memory bandwidth limits the speed of these loops. With AVX-512, the loops would be only 5% faster than with AVX2,
-// which does not justify the additional code.
+// Because memory bandwidth limits the speed of these loops, AVX-512 would be only 5% faster than AVX2, which does not
+// justify the additional code.
 FOURD_DISPATCH(Loops, Simd::avx2)
 
 }  // namespace fourd::hashgrid

@@ -56,8 +56,8 @@ struct Encode {
 
     FOURD_DEVICE void operator()(std::size_t index) const {
         const Location location(grid, index);
-        // The loop processes one feature at a time. An array of all features would have run-time indices, so the
-        // compiler would place it in local memory and not in registers.
+        // The loop processes one feature at a time, because an array of all features would have run-time indices, and
+        // the compiler would place it in local memory and not in registers.
         for (int f = 0; f < grid.features; ++f) {
             float sum = 0.0f;
             for (int corner = 0; corner < kCorners; ++corner) {

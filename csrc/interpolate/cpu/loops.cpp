@@ -96,8 +96,8 @@ FOURD_INLINE void clear_pixel(const Gradients& gradients, std::size_t pixel) {
     if (gradients.rast_db != nullptr) std::memset(gradients.rast_db + 4 * pixel, 0, 4 * sizeof(float));
 }
 
-// Each row of a tile is prefetched kRowsAhead rows before it is used. The rows are far apart in memory, so the
-// processor does not prefetch them by itself.
+// Each row of a tile is prefetched kRowsAhead rows before it is used, because the rows are so far apart in memory that
+// the processor does not prefetch them by itself.
 constexpr int kRowsAhead = 4;
 
 FOURD_INLINE void prefetch_row(const Query& query, const Gradients& gradients, std::size_t pixel, int columns) {

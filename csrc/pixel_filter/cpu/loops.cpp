@@ -1,6 +1,6 @@
-// The filter is separable. A run (kRun consecutive pixels of a row), with one more pixel on each side, is first
-// filtered along columns. The run is then filtered along the row. If the pixels of a run and all their neighbours have
-// the same colour, for example in the background, the run is copied without filtering.
+// The filter is separable: a run (kRun consecutive pixels of a row), with one more pixel on each side, is filtered
+// first along columns, then along the row. If the pixels of a run and all their neighbours have the same colour, for
+// example in the background, the run is copied without filtering.
 #include "pixel_filter/cpu/loops.h"
 
 #include <cstddef>
@@ -40,7 +40,7 @@ FOURD_INLINE std::uint32_t load_pixel(const std::uint8_t* row, std::size_t pixel
     return word;
 }
 
-// Whether the pixels [begin, end) of the three rows are all equal.
+// Returns true if the pixels [begin, end) of the three rows are all equal.
 FOURD_INLINE bool is_one_colour(const Rows& rows, std::size_t begin, std::size_t end) {
     const std::uint32_t first = load_pixel(rows.centre, begin);
     std::uint32_t different = 0;

@@ -23,7 +23,7 @@ std::uint32_t cell_of(float coordinate) {
     return static_cast<std::uint32_t>(interpolate_axis(coordinate, (1 << kCellBits) + 1).low);
 }
 
-// The indices of the points, sorted by spatial cell. Points of the same cell are sorted by index.
+// Returns the indices of the points, sorted by spatial cell. Points of the same cell are sorted by index.
 Buffer<std::uint32_t> order_by_cell(const Query& query) {
     constexpr std::size_t kCells = std::size_t{1} << (3 * kCellBits);
     Buffer<std::uint32_t> cells(query.count), order(query.count);
@@ -116,8 +116,8 @@ void sample_backward(const Query& query, const float* gradient, float* const* gr
     Team team(query.threads);
     QueryPlan planned(query, team.size());
     // The planes are divided among the workers. A worker processes all points in order, so no locks are needed and the
-    // order of additions is fixed. The worker updates all its planes for one batch of points before the next batch,
-    // because the elements of `gradient` for these planes share cache lines.
+    // order of additions is fixed. It updates all its planes for one batch of points before the next batch, because the
+    // elements of `gradient` for these planes share cache lines.
     const int parts = std::min(team.size(), query.plane_count);
     team.run(parts, [&](int part, int worker) {
         const int first = query.plane_count * part / parts, last = query.plane_count * (part + 1) / parts;

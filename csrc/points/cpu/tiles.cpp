@@ -39,7 +39,7 @@ inline std::uint32_t pair(int first, int last) {
 inline std::uint32_t project_some(const Cloud& cloud, const Settings& settings, std::size_t begin, std::size_t count,
                                   Projections& out) {
     constexpr int kBlocksPerSide = kTile / kBlock;
-    // A local copy: the compiler knows that writes through pointers do not change it.
+    // The compiler knows that writes through pointers do not change this local copy.
     const Pinhole camera = settings.camera;
     const float near_depth = settings.near_depth;
     std::uint32_t visible = 0;

@@ -38,8 +38,8 @@ struct Visits {
 constexpr std::uint64_t kNoVisit = ~std::uint64_t{0};
 
 // Number of features of a point for draw_surface: its colour (3), its normal times its weight (3), its weight
-// (front_weight in points/front_weight.h), and its depth times its weight. The points of a tile are scattered in
-// memory, but the features of a point are adjacent. Reading a point therefore needs only one cache line.
+// (front_weight in points/front_weight.h), and its depth times its weight. The features of a point are adjacent in
+// memory, so that reading a point needs only one cache line, although the points of a tile are scattered.
 constexpr int kSurfaceFeatures = 8;
 constexpr std::size_t kJoinedPoints = 64;
 
@@ -64,19 +64,19 @@ struct Loops {
     // Renders the colours and the visible surface. The features of the tile are the output of join_normals.
     void (*draw_surface)(const Tile& tile, const Surface& out);
 
-    // `slots` (tile.count,) has the slot of each entry (tiles/depth_bins.h). `sums` has 5 + channels floats per slot:
-    // one SplatGradient, and then the gradient of the features.
+    // Computes the gradient of a tile. `slots` (tile.count,) has the slot of each entry (tiles/depth_bins.h). `sums`
+    // has 5 + channels floats per slot: one SplatGradient, and then the gradient of the features.
     void (*render_backward)(const Tile& tile, const ImageGradient& gradient, const Visits& visits,
                             const std::size_t* slots, float* sums);
 
-    // For each entry, finds the largest weight (transmittance * alpha) over the pixels of the tile. Writes this weight
-    // to `weights`, at the slot of the entry. The caller initialises these elements to 0.
+    // For each entry, finds the largest weight (transmittance * alpha) over the pixels of the tile, and writes it to
+    // `weights`, at the slot of the entry. The caller initialises these elements to 0.
     void (*visibility)(const Tile& tile, const std::size_t* slots, float* weights);
 };
 
 FOURD_DISPATCH(Loops, Simd::avx512)
 
-// The number of visits of a tile, including visits that hit no pixel.
+// Returns the number of visits of a tile, including visits that hit no pixel.
 std::size_t count_visits(const Tile& tile);
 
 }  // namespace fourd::points

@@ -28,13 +28,13 @@ struct Workspace {
     void fill(const Cloud& cloud, const Settings& settings, Team& team);
 
     // Calls draw(tile index) for all tiles, in parallel. Call bins.prepare() before this function. If the image has
-    // more than kMaxEntries entries, bands of consecutive tile rows are binned and drawn one after another, which
-    // limits the memory. Returns true if one band was enough, so that `bins` has the entries of the whole image.
+    // more than kMaxEntries entries, bands of consecutive tile rows are binned and drawn one after another, to limit
+    // the memory. Returns true if one band was enough, so that `bins` has the entries of the whole image.
     template <typename Draw>
     bool draw_tiles(Team& team, const Draw& draw);
 
     // Calls fill() unless `bins` were already computed from the same inputs. A backward pass usually has the same
-    // inputs as the call before it, which was the forward pass.
+    // inputs as the forward pass just before it.
     void fill_unless_current(const Cloud& cloud, const Settings& settings, Team& team);
 
     // Returns the inputs for rendering the tile with this index. Tiles are numbered row by row. Call fill() before this

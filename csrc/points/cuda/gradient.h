@@ -21,9 +21,9 @@ struct Upstream {
     }
 };
 
-// A thread composites its pixel front to back and records the layers. Afterwards, the thread processes the recorded
-// layers back to front. During this back-to-front pass, all threads of a warp process the same entry (point of the
-// tile) at the same time. The warp processes every entry that at least one of its threads recorded.
+// A thread composites its pixel front to back and records the layers, then processes the recorded layers back to front.
+// During this back-to-front pass, all threads of a warp process the same entry (point of the tile) at the same time.
+// The warp processes every entry that at least one of its threads recorded.
 template <int kCapacity, int kLayers>
 struct GradientPixel {
     View view;              // Requires view.layers <= kLayers.

@@ -27,7 +27,7 @@ struct DepthSum {
     }
 
     // Returns the mean depth minus `nearest`. Call this function only if the alpha of the pixel is above 0, because
-    // `weight` may be 0 otherwise.
+    // otherwise `weight` may be 0.
     FOURD_DEVICE float mean_behind() const { return behind / weight; }
 };
 

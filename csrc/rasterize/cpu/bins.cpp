@@ -95,8 +95,8 @@ void Bins::fill(const Query& query, int first, int last, Team& team) {
         first_item_.push_back(first_item_.back() + triangle_range(query, image).count);
     }
     // The items are divided into parts of consecutive items, one part per worker. Each worker cuts the triangles of its
-    // part into pieces and bins the pieces into tiles. The pieces are merged in the order of the parts, so the result
-    // does not depend on the number of parts.
+    // part into pieces and bins them into tiles. The pieces are merged in the order of the parts, so the result does
+    // not depend on the number of parts.
     const int parts = team.size();
     const std::size_t items = first_item_.back();
     entries_.resize(parts);

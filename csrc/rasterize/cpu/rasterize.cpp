@@ -22,7 +22,7 @@ struct Scratch {
     std::unique_ptr<meshes::TileSlots> slots;
 
     Records records(std::size_t count) {
-        // Spare records are needed, because the last batch of records may extend beyond the last triangle.
+        // The spare records are needed because the last batch of records may extend beyond the last triangle.
         constexpr std::size_t kSpare = 16;
         const std::size_t needed = std::max<std::size_t>(count + kSpare, 256);
         if (needed > references.size()) {

@@ -1,7 +1,7 @@
-// Kernels that find the nearest triangle of each pixel. A piece is a whole triangle or a part of a clipped triangle. In
-// the first kernel, one warp per triangle tests the pixels of the triangle's small pieces. Triangles with large pieces
-// are added to a list. In the second kernel, one warp per tile tests the pixels of the tile against the large pieces of
-// all listed triangles. No warp therefore has to process a whole image.
+// Two kernels that find the nearest triangle of each pixel. A piece is a whole triangle or a part of a clipped
+// triangle. In the first kernel, one warp per triangle tests the pixels of the triangle's small pieces, and adds
+// triangles with large pieces to a list. In the second kernel, one warp per tile tests the pixels of the tile against
+// the large pieces of all listed triangles, so that no warp has to process a whole image.
 #pragma once
 
 #include "rasterize/cuda/triangles.h"
@@ -15,8 +15,8 @@ FOURD_DEVICE static inline bool is_small(const Bounds& bounds) {
     return (bounds.right - bounds.left + 1) * (bounds.bottom - bounds.top + 1) <= kSmallPixels;
 }
 
-// The triangles of all images. An item is one triangle of one image. Every image has longest_range items. In an image
-// with fewer triangles, the last items have no triangle.
+// The triangles of all images. An item is one triangle of one image. Every image has longest_range items. If an image
+// has fewer triangles, its last items have no triangle.
 struct Items {
     Query query;
     std::size_t longest_range;

@@ -6,7 +6,7 @@
 
 namespace fourd::rasterize::cuda {
 
-// The size in bytes of the `workspace` that rasterize() needs.
+// Returns the size in bytes of the `workspace` that rasterize() needs.
 std::size_t workspace_bytes(std::size_t images, std::size_t height, std::size_t width, std::size_t longest_range);
 
 void rasterize(const Query& query, std::size_t longest_range, void* workspace, const float* previous, float* rast,

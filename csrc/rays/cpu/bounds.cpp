@@ -30,8 +30,8 @@ double area_of(const float (&bounds)[6]) {
 
 float fill_bounds(Node* nodes, std::size_t node_count, const LeafBox* leaves) {
     std::vector<LeafBox> boxes(node_count);
-    // The loop runs from the last node to the first. Child indices are larger than the index of their parent, so the
-    // bounds of children are computed first.
+    // Because child indices are larger than the index of their parent, the loop runs from the last node to the first,
+    // so that the bounds of children are computed before those of their parent.
     for (std::size_t i = node_count; i-- > 0;) {
         Node& node = nodes[i];
         for (int lane = 0; lane < kWidth; ++lane) {

@@ -1,4 +1,4 @@
-// Hits of rays with discs. All discs of a block are tested at once.
+// Finds the discs that rays hit. All discs of a block are tested at once.
 #include "rays/cpu/disc_loops.h"
 
 #if defined(FOURD_X86)

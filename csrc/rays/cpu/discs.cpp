@@ -13,7 +13,7 @@ namespace {
 
 constexpr std::size_t kRaysPerTask = 1024;
 
-// Comparisons with NaN are false, so a disc with a NaN is never hit.
+// Returns true if the disc can be hit. Comparisons with NaN are false, so a disc with a NaN is never hit.
 bool is_visible(const Discs& discs, std::size_t index) {
     const float radius = discs.radius[index];
     bool visible = radius > 1e-18f && radius <= kMaxMagnitude && discs.density[index] > 0.0f &&

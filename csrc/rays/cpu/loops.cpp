@@ -1,4 +1,4 @@
-// Hits of rays with triangles. All triangles of a block are tested at once.
+// Finds the triangles that rays hit. All triangles of a block are tested at once.
 #include "rays/cpu/loops.h"
 
 #if defined(FOURD_X86)

@@ -1,8 +1,8 @@
-// Builds the tree from the top down. The centres of a range of primitives are sorted into 16 bins along each axis. The
-// range is split between two neighbouring bins, where the cost is lowest. The cost follows the surface area heuristic
-// (Wald 2007, On fast Construction of SAH-based Bounding Volume Hierarchies). The range of a node is split repeatedly,
-// until the node has eight children. The top of the tree is built on one thread. The subtrees below the top are built
-// on all threads.
+// Builds the tree from the top down. To split a range of primitives in two, the builder sorts their centres into 16
+// bins along each axis, and splits the range between the two neighbouring bins where the cost is lowest. The cost
+// follows the surface area heuristic (Wald 2007, On fast Construction of SAH-based Bounding Volume Hierarchies). The
+// range of a node is split repeatedly, until the node has eight children. The top of the tree is built on one thread,
+// and the subtrees below it are built on all threads.
 #include "rays/cpu/topology.h"
 
 #include <algorithm>
@@ -12,8 +12,8 @@ namespace fourd::rays {
 namespace {
 
 constexpr int kBins = 16;
-// At the depth kMaxSahDepth or deeper, nodes split ranges into two halves with equal numbers of primitives, without the
-// surface area heuristic.
+// At this depth or deeper, nodes split ranges into two halves with equal numbers of primitives, without the surface
+// area heuristic, to limit the depth of the tree.
 constexpr int kMaxSahDepth = 24;
 // In the top of the tree, a range with at most 1 / kParts of all primitives is not split further, but becomes a
 // subtree.
@@ -83,8 +83,8 @@ struct Plane {
     int axis, bin;
 };
 
-// The cost of a box by the surface area heuristic: the number of blocks for `count` primitives, times half of the
-// surface area.
+// Returns the cost of a box by the surface area heuristic: the number of blocks for `count` primitives, times half of
+// the surface area.
 inline float cost_of(const Box& box, std::size_t count) {
     return area_of(box) * static_cast<float>((count + kWidth - 1) / kWidth);
 }

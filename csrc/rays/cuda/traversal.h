@@ -29,7 +29,7 @@ struct Entry {
 };
 
 // Visits the blocks whose boxes the ray meets at a t' between first_of(ray) and last(). The value of last() may become
-// smaller during the traversal. visit(block) returns whether the traversal is finished.
+// smaller during the traversal. visit(block) returns true to end the traversal.
 template <typename Block, typename Visit, typename Last>
 FOURD_DEVICE void traverse(const Node* nodes, const Block* blocks, const Ray& ray, Visit& visit, const Last& last) {
     const float first = first_of(ray);

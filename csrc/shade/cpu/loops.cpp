@@ -100,8 +100,8 @@ struct Rgb {
     float channel[3];
 };
 
-// Computes the sum of the colours (0 to 255) of the chosen views. The weight of a colour is the weight of its view
-// times the point's blend weight for this view. Returns the sum of these weights.
+// Computes the weighted sum of the colours (0 to 255) of the chosen views, and returns the sum of the weights. The
+// weight of a colour is the weight of its view times the point's blend weight for this view.
 FOURD_INLINE float weighted_sum(const Points& points, std::size_t row, const Settings& settings, Rgb* out) {
 #ifdef FOURD_SHADE_VECTORS
     const std::size_t last = points.count * points.views - 1;

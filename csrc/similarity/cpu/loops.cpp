@@ -12,8 +12,8 @@ namespace fourd::similarity::FOURD_SIMD {
 namespace {
 
 constexpr float kLuminance = 0.01f * 0.01f, kContrast = 0.03f * 0.03f;
-// Number of partial sums. The additions to different partial sums are independent, so a processor can do them in
-// parallel.
+// Number of partial sums. A processor can do the additions to different partial sums in parallel, because they are
+// independent.
 constexpr int kLanes = 8;
 
 // Computes the window means along columns for element i of a row. If Number is Eight, the function also computes the

@@ -14,8 +14,8 @@ struct Window {
     float weights[kWindow];
 };
 
-// Sizes are in floats. The channels of a row are interleaved in one array, so the step between window elements is the
-// number of channels.
+// The sizes of the pictures, counted in floats. The channels of a row are interleaved in one array, so the step between
+// window elements is the number of channels.
 struct Plan {
     Pictures pictures;
     Window window;
@@ -26,17 +26,17 @@ struct Plan {
     explicit Plan(const Pictures& pictures);
 };
 
-// Number of weighted means over the window of a pixel. The means are those of the picture, the truth, the square of the
-// picture, the square of the truth, and the product of picture and truth.
+// Number of weighted means over the window of a pixel: the means of the picture, of the truth, of the square of the
+// picture, of the square of the truth, and of the product of picture and truth.
 constexpr int kMeans = 5;
 
-// Number of derivatives of the similarity. The derivatives are with respect to the mean of the picture, the mean of its
-// square and the mean of its product with the truth.
+// Number of derivatives of the similarity: with respect to the mean of the picture, the mean of its square and the mean
+// of its product with the truth.
 constexpr int kDerivatives = 3;
 
 struct Loops {
-    // Returns the sum of the similarities of one row of the valid part. Unless `derivatives` (kDerivatives, plan.valid)
-    // is null, the function also writes the derivatives of the similarities to it. `scratch` has 2 * kMeans rows, each
+    // Returns the sum of the similarities of one row of the valid part. If `derivatives` (kDerivatives, plan.valid) is
+    // not null, the function also writes to it the derivatives of the similarities. `scratch` has 2 * kMeans rows, each
     // with plan.stride floats.
     double (*compare)(const Plan&, std::size_t row, float* scratch, float* derivatives);
 

@@ -45,8 +45,8 @@ struct Loops {
 
     void (*render)(const Tile& tile, const Visits& visits, const Image& out);
 
-    // `slots` (count,) has the index of the slot of each entry (tiles/depth_bins.h). `sums` has kShapeSums + channels
-    // floats per slot: one ShapeGradient, and then the gradient of the features.
+    // Computes the gradient of a tile. `slots` (count,) has the index of the slot of each entry (tiles/depth_bins.h).
+    // `sums` has kShapeSums + channels floats per slot: one ShapeGradient, and then the gradient of the features.
     void (*render_backward)(const Tile& tile, const Visits& visits, const ImageGradient& gradient,
                             const std::size_t* slots, float* sums);
 };

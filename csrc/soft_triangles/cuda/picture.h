@@ -70,7 +70,7 @@ struct Nearest {
     float last;
     int ties;
 
-    // Returns whether the pixel uses a triangle at the depth hit_depth. Call this function for the triangles in index
+    // Returns true if the pixel uses a triangle at the depth hit_depth. Call this function for the triangles in index
     // order.
     FOURD_DEVICE bool takes(float hit_depth) {
         if (!(hit_depth < kNoHit)) return false;
@@ -79,7 +79,7 @@ struct Nearest {
     }
 };
 
-// The number of triangles with a depth of at most `depth`.
+// Returns the number of triangles with a depth of at most `depth`.
 FOURD_DEVICE static inline int count_up_to(const View& view, const EntryList& list, const Pixel& pixel, float depth) {
     int found = 0;
     for (std::size_t position = 0; position < list.count; ++position) {
@@ -94,9 +94,9 @@ FOURD_DEVICE static inline float float_of(std::uint32_t bits) {
     return value;
 }
 
-// If a pixel has at most `layers` hits, the pixel uses all of them. For a pixel with more hits, a binary search finds
-// the depth of the last triangle that the pixel uses. The search runs over the bits of the depths, read as integers.
-// Depths are positive, so their bits have the same order as the depths.
+// If a pixel has at most `layers` hits, it uses all of them. Otherwise, a binary search finds the depth of the last
+// triangle that the pixel uses. The search runs over the bits of the depths, read as integers. Depths are positive, so
+// their bits have the same order as the depths.
 FOURD_DEVICE static inline Nearest find_nearest(const View& view, const EntryList& list, const Pixel& pixel) {
     Nearest out{view.softness.background_depth, kNoHit, 0};
     int hits = 0;

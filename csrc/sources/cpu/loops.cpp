@@ -12,8 +12,8 @@ constexpr int kMaxChannels = 256;
 
 FOURD_INLINE std::size_t image_size(const Maps& maps) { return static_cast<std::size_t>(maps.width) * maps.height; }
 
-// The template argument Channels is the number of channels if it is known at compile time, and 0 otherwise. With a
-// number known at compile time, the compiler can divide the loops into whole vectors.
+// The template argument Channels is the number of channels if it is known at compile time, and 0 otherwise. If it is
+// known, the compiler can divide the loops into whole vectors.
 template <int Channels>
 FOURD_INLINE int channels_of(const Maps& maps) {
     return Channels > 0 ? Channels : maps.channels;
@@ -65,9 +65,8 @@ FOURD_INLINE float total(const Eight* number) {
 }
 #endif
 
-// Back-propagates the gradient of channel c and, if Number is Eight, of the next seven channels. The function adds to
-// `sum` the gradient with respect to the pixel position. If `to` is not null, the function adds to `to` the gradient
-// with respect to the features.
+// Back-propagates the gradient of channel c and, if Number is Eight, of the next seven channels. Adds the gradient with
+// respect to the pixel position to `sum`, and the gradient with respect to the features to `to`, which may be null.
 template <typename Number>
 FOURD_INLINE void scatter_at(const float* features, const Bilinear& at, int channels, std::size_t c,
                              const float* gradient, float* to, PixelGradient* sum) {

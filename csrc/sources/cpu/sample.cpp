@@ -31,7 +31,7 @@ void sample(const Query& query, const Samples& out) {
     });
 }
 
-// Each view has one task, so the gradient of the view's features is summed in a fixed order. After all tasks, the
+// Each view has one task, so that the gradient of the view's features is summed in a fixed order. After all tasks, the
 // gradient of xyz is summed over the views.
 void sample_backward(const Query& query, const float* gradient, const Gradients& out) {
     const RunLoops& loops = select_loops(query.simd).of(query.maps.channels);

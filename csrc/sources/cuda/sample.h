@@ -10,8 +10,8 @@ constexpr int kMaxViews = 16;  // Limits the size of the kernel arguments, which
 
 void sample(const Query& query, const Samples& out, void* stream);
 
-// `gradient` is the gradient with respect to Samples::channels. The visibility is treated as constant. The order of
-// additions is not fixed, so the last bits of gradients can differ between calls.
+// Computes the gradients of sample(). `gradient` is the gradient with respect to Samples::channels. The visibility is
+// treated as constant. The order of additions is not fixed, so the last bits of gradients can differ between calls.
 void sample_backward(const Query& query, const float* gradient, const Gradients& out, void* stream);
 
 }  // namespace fourd::sources::cuda

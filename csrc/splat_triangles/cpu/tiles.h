@@ -39,8 +39,8 @@ struct Loops {
     // entry i is written to weights[slots[i]].
     void (*render)(const Tile& tile, const Image& out, float* best, const std::size_t* slots, float* weights);
 
-    // `slots` is the same as for render(). `sums` has kShapeSums + channels floats per slot: one ShapeGradient, and
-    // then the gradient of the features.
+    // Computes the gradient of a tile. `slots` is the same as for render(). `sums` has kShapeSums + channels floats per
+    // slot: one ShapeGradient, and then the gradient of the features.
     void (*render_backward)(const Tile& tile, const ImageGradient& gradient, const std::size_t* slots, float* sums);
 };
 

@@ -25,7 +25,7 @@ struct Workspace {
     std::vector<Scratch> scratch_by_worker;  // Indexed by worker.
 
     // Projects, sorts and bins the triangles of a mesh, unless `bins` were already computed from the same inputs. A
-    // backward pass usually has the same inputs as the call before it, which was the forward pass.
+    // backward pass usually has the same inputs as the forward pass just before it.
     void fill(const Mesh& mesh, const Settings& settings, Team& team);
 
     // Returns the inputs for rendering the tile with this index. Tiles are numbered row by row.

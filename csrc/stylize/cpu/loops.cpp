@@ -49,7 +49,7 @@ inline void look_up(const Style& style, const float* tone, const float* detail, 
 }
 
 // For each pixel: the tone (1 + N.L) / 2, the cosine N.V (`facing`), and the detail from 0 to 1, which selects the row
-// of the shade table. N is the unit normal. L and V are the unit vectors towards the light and towards the camera.
+// of the shade table. N is the unit normal, and L and V are the unit vectors towards the light and towards the camera.
 struct Shape {
     float tone[kRun], facing[kRun], detail[kRun];
 };

@@ -25,9 +25,9 @@ struct Bands {
     int count;
 };
 
-// An entry records that a pixel of a task (range of pixels) reads texels of a band (range of texels). Let i be the
-// index of the pixel in the task. The value of the entry is 2i + s. A lookup blends up to two mip levels: s is 0 for
-// texels of the finer level, and 1 for texels of the coarser level.
+// An entry records that a pixel of a task (range of pixels) reads texels of a band (range of texels). Its value is 2i +
+// s, where i is the index of the pixel in the task. A lookup blends up to two mip levels: s is 0 for texels of the
+// finer level, and 1 for texels of the coarser level.
 using Entry = std::uint16_t;
 // Maximum number of entries of a task: four texels in each of two levels for each pixel.
 constexpr std::size_t kMaxEntries = 8 * kTaskPixels;
@@ -45,7 +45,7 @@ struct BandSums {
     float* sums;  // Shape (end - begin, stride_of(channels)).
 };
 
-// Number of floats per texel in BandSums. Three channels are padded to a vector of four.
+// Returns the number of floats per texel in BandSums. Three channels are padded to a vector of four.
 FOURD_INLINE std::size_t stride_of(int channels) { return channels == 3 ? 4 : static_cast<std::size_t>(channels); }
 
 struct Loops {
@@ -58,8 +58,8 @@ struct Loops {
     // Adds to the sums of a band the contributions of `count` entries (pixels that read texels of the band).
     void (*scatter)(const Query&, const Task&, const Entry* entries, std::size_t count, const float* gradient,
                     const float* levels, const BandSums&);
-    // Computes some rows of a level from the next finer level. If halves_rows is true, the finer level has two rows for
-    // each row of the coarser level, and otherwise one row.
+    // Computes some rows of a level from the next finer level. The finer level has two rows for each row of the coarser
+    // level if halves_rows is true, and one row otherwise.
     void (*halve)(const float* fine, int fine_width, bool halves_rows, int channels, std::size_t rows, float* out);
     // The backward pass of halve: adds the gradient of the coarser level to some rows of the gradient of the finer
     // level.

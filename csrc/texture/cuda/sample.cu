@@ -119,9 +119,9 @@ struct SampleBackward {
     }
 };
 
-// A float of the coarser level is the mean of up to four floats of the finer level. Mean computes the offsets of these
-// floats in the finer level. The finer level has exactly `rows` rows for each row of the coarser level, so one
-// row index can run over all faces of all textures.
+// Computes the offsets, in the finer level, of the texel channels whose mean is one channel of a coarser texel. The
+// finer level has exactly `rows` rows for each row of the coarser level, so one row index can run over all faces of all
+// textures.
 struct Mean {
     std::size_t first, next_column, next_row;
     float share;

@@ -94,9 +94,8 @@ FOURD_DEVICE static inline std::size_t lower_bound(const T* sorted, std::size_t 
     return first;
 }
 
-// Copies the splats into depth order. This kernel is called for ranks 0 to `count`, inclusive. Rank `count` is not a
-// primitive. With this additional rank, the last element of the exclusive sum of tile_counts is the count of all
-// entries.
+// Copies the splats into depth order. The kernel is also called for rank `count`, which is not a primitive, so that the
+// last element of the exclusive sum of tile_counts is the count of all entries.
 template <typename Splat>
 struct GatherRank {
     Entries<Splat> to;
@@ -113,8 +112,8 @@ struct GatherRank {
     }
 };
 
-// This kernel has one thread per entry. Threads per primitive would have very unequal work, because one primitive may
-// cover a single tile, and another primitive may cover all tiles.
+// Writes the sort key (tile) and the sort value (rank) of an entry. The kernel has one thread per entry, because
+// threads per primitive would have very unequal work: one primitive may cover a single tile, and another all tiles.
 template <typename Splat>
 struct EmitEntry {
     Entries<Splat> to;
@@ -157,7 +156,7 @@ inline int bit_count(std::size_t max) {
     return bits;
 }
 
-// The size in bytes of the workspace of an image.
+// Returns the size in bytes of the workspace of an image.
 template <typename Splat>
 std::size_t entry_bytes(std::size_t count, int sums, int width, int height, std::size_t entries) {
     device::Arena arena(nullptr);

@@ -13,8 +13,8 @@ struct Pixel {
     std::size_t tile;
 };
 
-// Finds the pixel of a thread. `index` is the index of the thread. Threads are numbered tile by tile. Each pixel of a
-// tile has a thread, even if the pixel is outside the image.
+// Finds the pixel of the thread with this index. Threads are numbered tile by tile. Each pixel of a tile has a thread,
+// even if the pixel is outside the image.
 FOURD_DEVICE static inline Pixel pixel_of(std::size_t index, const Tiles& tiles, int width, int height) {
     constexpr int kAcross = 8, kDown = device::kWarpSize / kAcross;
     const std::size_t tile = index / kTilePixels;
@@ -43,12 +43,12 @@ FOURD_DEVICE static inline EntryList entry_list(const Entries<Splat>& entries, s
     return {entries.entry_ranks + begin, entries.tile_begin[tile + 1] - begin};
 }
 
-// Composites the primitives of a list front to back. Each hit of a primitive is a layer of the pixel. A pixel is
-// complete if it has `layers` layers or a transmittance of at most transmittance_min. The traversal ends when all
-// pixels of the warp are complete or outside the image. The compositor provides pixel_coverage(splat, x, y), which
-// returns how the primitive covers the pixel. The member `alpha` of this coverage is above 0 if the primitive hits the
-// pixel. Calls take(position, rank, splat, coverage, transmittance) for every layer, where `position` is the index in
-// the list and `transmittance` is the transmittance in front of the layer. Returns the final transmittance.
+// Composites the primitives of a list front to back. Each primitive that hits the pixel is a layer. A pixel is complete
+// if it has `layers` layers or a transmittance of at most transmittance_min. The traversal ends when all pixels of the
+// warp are complete or outside the image. The compositor provides pixel_coverage(splat, x, y), whose result has an
+// `alpha` above 0 if the primitive hits the pixel. Calls take(position, rank, splat, coverage, transmittance) for every
+// layer, where `position` is the index in the list and `transmittance` is the transmittance in front of the layer.
+// Returns the final transmittance.
 template <typename Splat, typename Take>
 FOURD_DEVICE static inline float traverse(const Entries<Splat>& entries, const EntryList& list, const Pixel& pixel, int layers,
                                           float transmittance_min, const device::Lane& lane, const Take& take) {

@@ -32,13 +32,13 @@ class RadianceConfig:
     samples: int = 32
     """Number of samples per ray."""
     rate: float = 1e-2
-    """Initial learning rate. The learning rate decays exponentially to a tenth of this value."""
+    """Initial learning rate. It decays exponentially to a tenth of this value."""
     measured: float = 1.0
     """Weight of the depth loss at pixels whose depth was measured by stereo."""
     continued: float = 0.2
     """Weight of the depth loss at pixels whose depth was extrapolated."""
     distortion: float = 3e-3
-    """Weight of the distortion loss."""
+    """Weight of the distortion loss of mip-NeRF 360, which makes the density along each ray compact."""
 
     def __post_init__(self) -> None:
         """Check all fields. Raises ValueError for values out of range."""

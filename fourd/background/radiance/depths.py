@@ -1,4 +1,4 @@
-"""Depth maps of the plates, rendered from an optimised field. Only depths that are consistent between plates are kept.
+"""Render depth maps of the plates from an optimised field, and keep only depths that are consistent between plates.
 
 In this module, a cell is one sample of a plate's depth map. The support of a cell is the number of other plates that
 confirm its depth.
@@ -28,11 +28,11 @@ SAMPLES = 64
 RAYS = 4096
 """Number of rays per batch."""
 MAX_QUARTILE_RATIO = 1.25
-"""Maximum ratio of the upper to the lower weighted quartile of the distances along a ray. The weights are the rendering
-weights. Above this ratio, the rendering weights are too spread out along the ray to describe a surface."""
+"""Maximum ratio of the upper to the lower quartile of the distances along a ray, weighted by the rendering weights.
+Above this ratio, the rendering weights are too spread out to describe a surface."""
 MAX_MEDIAN = 0.99
-"""Maximum normalised distance at which a ray's cumulative rendering weight reaches 1/2. If the distance exceeds this
-maximum, no surface is assumed on the ray."""
+"""Maximum normalised distance at which a ray's cumulative rendering weight reaches 1/2. If it is reached farther away,
+the ray is assumed to hit no surface."""
 
 
 def add_field_depths(
@@ -42,13 +42,12 @@ def add_field_depths(
     continued: Sequence[Surface],
     track: Track,
 ) -> list[Surface]:
-    """Fill the unknown cells of measured surfaces with the median depths of the field, if another plate confirms these
-    depths.
+    """Fill the unknown cells of measured surfaces with median depths of the field that another plate confirms.
 
-    A cell is confirmed if the surface of at least one other plate agrees with the cell's depth. In addition, the cell
-    must not occlude more surfaces than agree with its depth. Confirmed cells get support 1. Unconfirmed cells take the
-    extrapolated depth of ``continued``. Colours do not determine the depth of a surface that only one plate sees. Where
-    only one plate sees a surface, the field's depth is noise around the extrapolated depth.
+    A cell is confirmed if the surface of at least one other plate agrees with its depth, and if it occludes no more
+    surfaces than agree with it. Confirmed cells get support 1. Unconfirmed cells take the extrapolated depth of
+    ``continued``: where only one plate sees a surface, colours do not determine its depth, so the field's depth is the
+    extrapolated depth with added noise.
 
     Args:
         field: the optimised field.
@@ -76,9 +75,8 @@ def _merge_depths(field: OptimizedField, plate: ReducedPlate, measured: Surface)
 
 
 def median_inverse_depths(field: OptimizedField, plate: ReducedPlate, xy: Array) -> Array:
-    """Inverse depths (M,) at which the cumulative rendering weight along the rays through ``xy`` (M, 2) reaches 1/2.
-
-    ``xy`` are pixel indices. The value is 0 for rays without a surface.
+    """Compute the inverse depths (M,) at which the cumulative rendering weight along the rays through the pixel indices
+    ``xy`` (M, 2) reaches 1/2. The value is 0 for rays without a surface.
     """
     unit = field.radiance.contraction.radius
     parts: list[Tensor] = []
@@ -94,8 +92,8 @@ def median_inverse_depths(field: OptimizedField, plate: ReducedPlate, xy: Array)
 
 
 def _keep_confirmed(index: int, merged: Sequence[Surface], measured: Surface, continued: Surface) -> Surface:
-    """Return a surface with the measured cells and the confirmed cells of ``merged[index]``. All other cells are taken
-    from ``continued``."""
+    """Return a surface with the measured and the confirmed cells of ``merged[index]``, and all other cells of
+    ``continued``."""
     surface = merged[index]
     cells = np.flatnonzero(surface.known & ~measured.known)
     agreeing, occluded = count_agreement(index, merged, cells)

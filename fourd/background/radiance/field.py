@@ -19,13 +19,14 @@ MAX_LOG_DENSITY = 11.0
 class RadianceField(nn.Module):
     """Density and view-independent colour of points in space.
 
-    If the colour depended on the view, the field could reproduce each plate with radiance that only the camera of this
-    plate sees. Densities and distances along rays are measured in units of :attr:`Contraction.radius`.
+    The colour does not depend on the view, because the field could otherwise reproduce each plate with radiance that
+    only this plate's camera sees. Densities and distances along rays use :attr:`Contraction.radius` as the unit of
+    length.
     """
 
     def __init__(self, shape: HashGridShape, contraction: Contraction, hidden: int) -> None:
-        """Initialise the field with random values and with a low density. ``hidden`` is the width of the hidden layer
-        in both networks."""
+        """Initialise the field with random values that give a low density. ``hidden`` is the width of both networks'
+        hidden layers."""
         super().__init__()
         self.shape = shape
         self.contraction = contraction
@@ -50,9 +51,9 @@ class RadianceField(nn.Module):
 
 
 def bounded_exp(log_density: Tensor) -> Tensor:
-    """The exponential function, clamped at exp(11).
+    """Compute the exponential function, clamped to at most exp(11).
 
-    The gradient is not zero where the value is clamped, so that high densities can still decrease.
+    Where the value is clamped, the gradient is not zero, so that high densities can still decrease.
     """
     return torch.Tensor(_BoundedExp.apply(log_density))
 

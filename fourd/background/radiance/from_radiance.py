@@ -1,4 +1,4 @@
-"""Computation of background points from clean plates by a radiance field that is supervised with stereo depths."""
+"""Compute background points from clean plates with a radiance field that is supervised by stereo depths."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from fourd.progress import Log, Track, untracked
 Array = NDArray[np.float64]
 
 FEW_SHARE = 0.1
-"""If the share of visible depth-map cells with a confirmed depth is below this value, the log calls the result a rough
+"""If the fraction of visible depth-map cells with a measured depth is below this value, a rough shape of the room
+guides the extrapolation of depths. If the fraction with a confirmed depth is below it, the log calls the result a rough
 estimate."""
 MIN_SHARE = 0.01
-"""If the share of visible depth-map cells with a confirmed depth is below this value, the computation fails with an
-error."""
+"""If the fraction of visible depth-map cells with a confirmed depth is below this value, an error is raised."""
 
 
 def seed_from_radiance(
@@ -47,12 +47,11 @@ def seed_from_radiance(
 ) -> ColouredPoints:
     """Create coloured points of a static background. The points are evenly spread over the plates' images.
 
-    Stereo measures depths in areas where two plates match (:mod:`fourd.background.stereo`). In areas without a match,
-    depths are extrapolated. A radiance field (Mueller et al. 2022) is then optimised on the plates' colours and on the
-    measured and extrapolated depths. Without these depths, if the cameras are 20 degrees apart, the field reproduces
-    each plate with radiance that only this plate's camera sees. In cells without stereo depth, the median depth of the
-    field is used if another plate confirms this depth. The same input, seed and number of torch threads give the same
-    points.
+    Stereo measures depths where two plates match (:mod:`fourd.background.stereo`); elsewhere, depths are extrapolated.
+    A radiance field (Mueller et al. 2022) is then optimised on the plates' colours and on these depths. It needs the
+    depths because, with cameras 20 degrees apart, it would otherwise reproduce each plate with radiance that only this
+    plate's camera sees. In depth-map cells without stereo depth, the field's median depth is used if another plate
+    confirms it. The same input, seed and number of torch threads give the same points.
 
     Args:
         plates: clean plates of at least two cameras.
@@ -61,7 +60,8 @@ def seed_from_radiance(
         config: settings of the radiance field.
         seed: seed of the random numbers.
         workers: number of processes for stereo.
-        log: reports how many points are measured and how many are extrapolated.
+        log: reports the fraction of the plates' area with known depths, and how many points are measured, confirmed and
+            extrapolated.
         track: progress callback.
 
     Returns:
@@ -95,8 +95,7 @@ def seed_from_radiance(
 
 
 def _estimate_surfaces(stereo: StereoResult, config: RadianceConfig, seed: int, track: Track) -> list[Surface]:
-    """Create a surface for each plate. Each depth of the surface is either measured, or rendered from the field, or
-    extrapolated."""
+    """Create a surface for each plate, whose depths are measured, rendered from the field, or extrapolated."""
     cameras = [plate.camera for plate in stereo.plates]
     views = [plate.grey_view() for plate in stereo.plates]
     centre = viewing_centre(cameras)
@@ -118,8 +117,7 @@ def _extrapolate(stereo: StereoResult, views: Sequence[GreyView], centre: Array,
 
 
 def _point_summary(measured: Sequence[Surface], surfaces: Sequence[Surface], cells: Sequence[NDArray[np.intp]]) -> str:
-    """Describe how many points have measured depths, how many have depths from the field, and how many have
-    extrapolated depths."""
+    """Describe how many points have measured, rendered and extrapolated depths."""
     total = sum(len(own) for own in cells)
     by_stereo = sum(int(surface.known[own].sum()) for surface, own in zip(measured, cells, strict=True))
     extrapolated = sum(int((surface.support[own] == 0).sum()) for surface, own in zip(surfaces, cells, strict=True))

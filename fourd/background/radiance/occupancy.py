@@ -1,4 +1,4 @@
-"""An occupancy grid that stores recent densities. The densities are used for importance sampling along rays."""
+"""An occupancy grid that stores recent densities for importance sampling along rays."""
 
 from __future__ import annotations
 
@@ -12,22 +12,21 @@ from fourd.background.radiance.volume_rendering import rendering_weights
 
 DECAY = 0.95
 UNIFORM_WEIGHT = 0.1
-"""Total weight of the uniform part of a ray's sampling histogram. The part that is computed from the grid's densities
-has a total weight of at most one. Uniform samples also find surfaces that are missing in the grid."""
+"""Total weight of the uniform part of a ray's sampling histogram, which lets samples find surfaces that are missing in
+the grid. The part that is computed from the grid's densities has a total weight of at most one."""
 BINS = 96
 """Number of bins in the histogram of sampling weights along a ray."""
 HINT_WEIGHTS = (0.25, 0.5, 0.25)
-"""A hint adds these weights to three bins of a ray's histogram: the bin before the hint, the hint's bin and the bin
-after it. A hint is a distance at which the ray is expected to hit a surface, for example the depth of a training
-pixel."""
+"""Weights that a hint adds to three bins of a ray's histogram: the bin before it, its own bin and the bin after it. A
+hint is a distance at which the ray is expected to hit a surface, for example the known distance of a training pixel."""
 
 
 class OccupancyGrid:
-    """Densities on a grid over contracted space. Dense cells get more samples than empty cells.
+    """Densities on a grid over contracted space, used to place more samples in dense cells than in empty ones.
 
-    Instant-NGP (sec. 5.4 and appendix C) marches through occupied cells in equal steps. This class instead computes the
-    volume rendering weights along each ray from the grid's densities. The weights form a histogram, from which a fixed
-    number of samples is drawn.
+    Instant-NGP (sec. 5.4 and appendix C) marches through occupied cells in equal steps. This class instead computes a
+    histogram of the volume rendering weights along each ray from the grid's densities, and draws a fixed number of
+    samples from it.
     """
 
     def __init__(self, contraction: Contraction, cells: int) -> None:
@@ -38,13 +37,13 @@ class OccupancyGrid:
         self.edges = torch.linspace(0, 1, BINS + 1)
 
     def sample(self, rays: Rays, count: int, jitter: Tensor | None, hint: Tensor | None = None) -> Tensor:
-        """Sample the edges of the intervals along rays.
+        """Sample the edges of the intervals along rays, so that intervals are shorter where the grid is dense.
 
         Args:
             rays: R rays.
             count: number of intervals per ray.
-            jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1). If ``jitter`` is None, each edge
-                is at the centre of its stratum.
+            jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1). If None, each edge is at the
+                centre of its stratum.
             hint: (R,) normalised distance near which the samples of each ray are denser than elsewhere, or NaN for rays
                 without a hint.
 
@@ -64,8 +63,8 @@ class OccupancyGrid:
         return resample_edges(self.edges, histogram, count, jitter)
 
     def update(self, xyz: Tensor, density: Tensor) -> None:
-        """Update the cells that contain world points (N, 3) with a new ``density`` (N,). The new value of a cell is the
-        larger of the decayed old density and ``density``."""
+        """Update the cells that contain world points (N, 3). The new value of a cell is the maximum of its decayed old
+        value and the ``density`` (N,) of its points."""
         cells = self.cell_of(xyz)
         self.density[cells] = self.density[cells] * DECAY
         self.density.scatter_reduce_(0, cells, density, "amax")

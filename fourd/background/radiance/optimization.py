@@ -1,4 +1,4 @@
-"""Optimisation of a radiance field on clean plates and stereo depths."""
+"""Optimise a radiance field on clean plates and stereo depths."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from fourd.progress import Track, untracked
 FINAL_RATE_FACTOR = 0.1
 WARM_UP = 50
 OPAQUE_LENGTH = 1e6
-"""Length of each ray's last interval, in units of the contraction's radius. The last interval is so long that it makes
-every ray opaque. If rays could be partly transparent, the optimisation would create fog in front of the cameras."""
+"""Length of each ray's last interval, in units of the contraction's radius. It is so long that every ray becomes
+opaque, because if rays could be partly transparent, the optimisation would create fog in front of the cameras."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class OptimizedField:
         Args:
             rays: R rays.
             samples: number S of samples per ray.
-            generator: random generator of the samples' jitter. If ``generator`` is None, the samples have no jitter.
+            generator: random generator of the samples' jitter; if None, the samples have no jitter.
             hint: (R,) normalised distance near which the samples of each ray are denser than elsewhere, or NaN for rays
                 without a hint.
         """
@@ -82,10 +82,9 @@ def optimize_field(
     """Optimise a radiance field on pixels of plates.
 
     The loss is a weighted sum of the squared colour error, a depth loss and the distortion loss (Barron et al. 2022,
-    eq. 15). The depth loss applies to pixels with a known depth, as in Depth-supervised NeRF (Deng et al. 2022). The
-    depth loss of a ray is a weighted sum over the samples. Each term is the absolute difference between the normalised
-    distances of a sample and of the surface. The weight of a term is the sample's rendering weight. The same input,
-    seed and number of torch threads give the same field.
+    eq. 15). The depth loss applies to pixels with a known depth, as in Depth-supervised NeRF (Deng et al. 2022). For a
+    ray, it is the mean absolute difference between the normalised distances of the samples and of the surface, weighted
+    by the samples' rendering weights. The same input, seed and number of torch threads give the same field.
     """
     generator = torch.Generator().manual_seed(seed)
     with torch.random.fork_rng(devices=[]):
@@ -107,8 +106,8 @@ def optimize_field(
 
 
 def _rate_factor(step: int, steps: int) -> float:
-    """Factor that multiplies the learning rate. The factor is the product of a linear rise to 1 over the first 50 steps
-    and an exponential decay from 1 to 0.1 over all steps."""
+    """Compute the factor of the learning rate: a linear rise to 1 over the first 50 steps, times an exponential decay
+    from 1 to 0.1 over all steps."""
     return min(1.0, (step + 1) / WARM_UP) * float(FINAL_RATE_FACTOR ** (step / steps))
 
 

@@ -20,8 +20,8 @@ from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.patches import index_intrinsics
 
 MIN_INVERSE_RATIO = 0.5
-"""Minimum ratio of the inverse depth at a pixel to the inverse depth at the centre of its cell. Below this ratio, the
-depth of the pixel is not used. Such small ratios occur if the cell's plane is seen almost edge-on."""
+"""Minimum ratio of the inverse depth at a pixel to the inverse depth at the centre of its cell. Below this ratio, which
+occurs if the cell's plane is seen almost edge-on, the pixel's depth is not used."""
 
 
 @dataclass(frozen=True, eq=False)

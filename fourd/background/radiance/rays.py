@@ -15,8 +15,8 @@ from fourd.cameras import Camera
 NEAR = 0.05
 """Distance at which rays start. All distances along rays are in units of the contraction's radius."""
 LINEAR_UP_TO = 2.0
-"""Distance up to which the normalised distance is a linear function of distance. Beyond this distance, the normalised
-distance is a linear function of inverse distance."""
+"""Distance up to which the normalised distance is linear in distance. Beyond it, the normalised distance is linear in
+inverse distance."""
 FAR = 200.0
 """Distance at which rays end."""
 
@@ -37,7 +37,7 @@ class Rays:
         return len(self.origins)
 
     def at(self, distances: Tensor, unit: float) -> Tensor:
-        """World points (R, S, 3) at distances (R, S) in multiples of ``unit`` world units."""
+        """Compute the world points (R, S, 3) at distances (R, S), given in multiples of ``unit`` world units."""
         return self.origins[:, None] + (distances * unit)[..., None] * self.directions[:, None]
 
 
@@ -50,16 +50,16 @@ def camera_rays(camera: Camera, pixels: Tensor) -> Rays:
 
 
 def ray_matrix(camera: Camera) -> NDArray[np.float64]:
-    """(3, 3) matrix that maps a pixel (x, y, 1) to the direction of its ray in world coordinates. In the camera's
-    frame, the z coordinate of the direction is 1."""
+    """Compute the (3, 3) matrix that maps a pixel (x, y, 1) to the direction of its ray in world coordinates. In camera
+    coordinates, the direction has z = 1."""
     return np.asarray(camera.rotation.T @ np.linalg.inv(camera.intrinsics), np.float64)
 
 
 def to_distance(normalized: Tensor) -> Tensor:
     """Convert normalised distances in [0, 1] to distances.
 
-    Normalised distances in [0, 0.5] are mapped linearly to distances from 0.05 to 2. Normalised distances in [0.5, 1]
-    are mapped to distances from 2 to 200, such that the inverse distance changes linearly.
+    Normalised distances in [0, 0.5] are mapped linearly to distances from 0.05 to 2. Those in [0.5, 1] are mapped to
+    distances from 2 to 200, such that the inverse distance changes linearly.
     """
     near = NEAR + 2 * normalized * (LINEAR_UP_TO - NEAR)
     inverse = 1 / LINEAR_UP_TO + (2 * normalized - 1).clamp(min=0) * (1 / FAR - 1 / LINEAR_UP_TO)
@@ -67,7 +67,7 @@ def to_distance(normalized: Tensor) -> Tensor:
 
 
 def to_normalized(distance: Tensor) -> Tensor:
-    """The inverse of :func:`to_distance`, clamped to [0, 1]."""
+    """Apply the inverse of :func:`to_distance`, clamped to [0, 1]."""
     near = (distance - NEAR) / (2 * (LINEAR_UP_TO - NEAR))
     far = 0.5 + 0.5 * (1 / distance.clamp(min=LINEAR_UP_TO) - 1 / LINEAR_UP_TO) / (1 / FAR - 1 / LINEAR_UP_TO)
     return torch.where(distance < LINEAR_UP_TO, near, far).clamp(0, 1)
@@ -82,8 +82,8 @@ def resample_edges(edges: Tensor, weights: Tensor, count: int, jitter: Tensor | 
         edges: (C + 1,) ascending edges of the histogram's bins.
         weights: (R, C) weights of the bins. Each weight is at least 0, and each row has a positive sum.
         count: number of intervals per ray.
-        jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1). If ``jitter`` is None, each edge is at
-            the centre of its stratum.
+        jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1). If None, each edge is at the centre of
+            its stratum.
     """
     cumulative = functional.pad(weights.cumsum(1), (1, 0))
     cumulative = cumulative / cumulative[:, -1:]

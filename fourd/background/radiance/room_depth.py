@@ -28,13 +28,13 @@ Array = NDArray[np.float64]
 NEAR, FAR = 0.02, 100.0
 """First and last depth of ray marching, as multiples of the camera's distance from the centre."""
 MIN_KNOWN = 0.1
-"""Minimum share of depth-map cells with known depth. Below this share, the room's shape is unreliable. The room is then
+"""Minimum fraction of depth-map cells with known depth. Below it, the room's shape is unreliable, and the room is
 enlarged until it contains a large ball around the centre, except for the part of the ball below the floor."""
 HALL_RADIUS = 1.5
 """Radius of the ball that a room with an unreliable shape must contain, as a multiple of the farthest camera's distance
 from the centre."""
 FLOOR_PERCENTILE = 2.0
-"""Percentile of the measured heights that is used as the height of the floor."""
+"""Percentile of the measured heights that is used as the floor height."""
 STEPS = 32
 BISECTION_STEPS = 8
 
@@ -72,11 +72,11 @@ class Room:
         return Room(sphere, inverse_distance.reshape(sphere.rows, sphere.columns))
 
     def surface_inverse_depths(self, surface: Surface) -> Array:
-        """Inverse depths (N,) of the room at all cells of a surface's depth map."""
+        """Compute the room's inverse depths (N,) at all cells of a surface's depth map."""
         return self.inverse_depths(surface.camera, surface.depths.grid.pixels[:, :2].astype(np.float64))
 
     def inverse_depths(self, camera: Camera, xy: Array) -> Array:
-        """Inverse depths (M,) at which the rays through pixel indices (M, 2) leave the room.
+        """Compute the inverse depths (M,) at which the rays through pixel indices (M, 2) leave the room.
 
         If a ray does not leave the room, for example because it never enters the room, its depth is set to 1.5 times
         the camera's distance from the room's centre.
@@ -99,8 +99,8 @@ class Room:
         return np.asarray(1 / np.sqrt(low * high))
 
     def _is_outside(self, xyz: Array) -> NDArray[np.bool_]:
-        """(M,) bool, true for world points that are farther from the room's centre than the surface in the same
-        direction."""
+        """Return an (M,) bool mask of the world points that are farther from the room's centre than the surface in the
+        same direction."""
         sphere = self.sphere
         local = (xyz - sphere.centre) @ sphere.R_world_sphere
         distance = np.maximum(np.linalg.norm(local, axis=1), 1e-12)
@@ -116,7 +116,7 @@ class Room:
 
 
 def _hall_inverse_distance(sphere: DirectionGrid, radius: float, depth: float) -> Array:
-    """Inverse distances (cells,) from the centre to the surface of a ball that is cut off at the floor. The floor is at
-    the distance ``depth`` below the centre."""
+    """Compute the inverse distances (cells,) from the centre to the surface of a ball that is cut off at the floor,
+    which is ``depth`` below the centre."""
     down = -(sphere.directions() @ sphere.R_world_sphere[:, 2])
     return np.asarray(np.maximum(1 / radius, down / depth if depth > 0 else 0 * down))

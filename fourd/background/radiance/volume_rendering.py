@@ -1,4 +1,4 @@
-"""Volume rendering weights (Mildenhall et al. 2020, eq. 3), and their distortion loss and quantiles."""
+"""Compute volume rendering weights (Mildenhall et al. 2020, eq. 3), their distortion loss and their quantiles."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torch.nn import functional
 
 
 def rendering_weights(density: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]:
-    """Volume rendering weights (R, S) of the intervals along R rays, and the final transmittance (R,).
+    """Compute the volume rendering weights (R, S) of the intervals along R rays, and the final transmittance (R,).
 
     Both results are differentiable in ``density`` and ``lengths``.
 
@@ -22,7 +22,7 @@ def rendering_weights(density: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]
 
 
 def distortion_loss(weights: Tensor, edges: Tensor) -> Tensor:
-    """Distortion loss (R,) of mip-NeRF 360 (Barron et al. 2022, eq. 15). The distortion loss measures how widely the
+    """Compute the distortion loss (R,) of mip-NeRF 360 (Barron et al. 2022, eq. 15), which measures how widely the
     weights are spread along a ray.
 
     The loss is differentiable in ``weights`` and ``edges``.
@@ -39,7 +39,7 @@ def distortion_loss(weights: Tensor, edges: Tensor) -> Tensor:
 
 
 def weight_quantile(weights: Tensor, edges: Tensor, part: float) -> Tensor:
-    """Normalised distance (R,) at which the cumulative weight along a ray reaches ``part``. The result is 1 if the
+    """Compute the normalised distance (R,) at which the cumulative weight along a ray reaches ``part``, or 1 if the
     total weight is less than ``part``.
 
     Args:

@@ -1,4 +1,4 @@
-"""Coloured points that are sampled from the surfaces of several plates."""
+"""Sample coloured points from the surfaces of several plates."""
 
 from __future__ import annotations
 
@@ -26,8 +26,7 @@ def sample_coloured_points(
         plates: full-size plates from which the colours are sampled.
         reduced: the same plates at the size used for stereo.
         surfaces: one surface per plate.
-        points: requested number of points, at least 1. If the surfaces are small, the result has fewer points than
-            requested.
+        points: requested number of points, at least 1. If the surfaces are small, the result has fewer.
         seed: random seed of the points' order.
 
     Returns:
@@ -53,9 +52,9 @@ def _plate_pixels(xy: Array, camera: Camera, plate: PlateView) -> tuple[NDArray[
 def _fuse_colours(
     plates: Sequence[PlateView], surfaces: Sequence[Surface], samples: Sequence[Samples]
 ) -> ColouredPoints:
-    """Average the position and the colour of each sample over all surfaces that agree with the sample's depth.
+    """Average the position and the colour of each sample over all surfaces that agree with its depth.
 
-    The weight of a surface is the inverse square of its depth, because nearer surfaces are measured more precisely.
+    A surface's weight is its inverse squared depth, because nearer surfaces are measured more precisely.
     """
     xyz = np.concatenate([each.xyz for each in samples])
     support = np.concatenate([each.support for each in samples])

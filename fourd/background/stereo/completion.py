@@ -1,4 +1,4 @@
-"""Depth completion: extrapolation of depths to the depth-map cells that stereo does not measure.
+"""Depth completion: extrapolate depths into depth-map cells that stereo does not measure.
 
 Floors and walls that enclose the scene are extended as planes until they meet other surfaces. In the remaining cells,
 inverse depth is interpolated harmonically.
@@ -22,32 +22,35 @@ from fourd.background.stereo.patchmatch import DepthMap
 Array = NDArray[np.float64]
 
 MARGIN = 0.25
-"""Width of a margin around an image, as a share of the image's longer side. The interpolation uses points of other
-images that project into this margin."""
+"""Width of a margin around an image, as a fraction of the image's longer side. The interpolation also uses points of
+other images that project into this margin."""
 MIN_KNOWN = 0.25
-"""Minimum share of known cells in an image. Below this share, extrapolated depths would not resemble the scene."""
+"""Minimum fraction of known cells in an image. Below it, depths are not extrapolated, because they would not resemble
+the scene."""
 MIN_BOUNDARY = 0.003
-"""Minimum share of cells with known values, counted over the image and its margin. Below this share, inverse depth is
-not interpolated."""
+"""Minimum fraction of cells with known values, counted over the image and its margin. Below it, inverse depth is not
+interpolated."""
 MIN_OFF_PLANE = 0.005
-"""Minimum share of known points that lie off the enclosing planes. Below this share, interpolated depths are used only
-for cells whose ray hits no plane."""
+"""Minimum fraction of known points that lie off the enclosing planes. Below it, interpolated depths are used only for
+cells whose ray hits no plane."""
 MAX_DEPTH_FACTOR = 4.0
 """Maximum depth of an extended plane, as a multiple of the largest known depth in the image."""
 EDGE_SCALE = 0.1
-"""If the grey values, in [0, 1], of two neighbouring cells differ by this value, the interpolation weight between the
-cells is one half."""
+"""Difference of two neighbouring cells' grey values, in [0, 1], at which the interpolation weight between them is one
+half."""
 
 
 def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], seed: int) -> list[Surface]:
     """Complete the unknown cells of surfaces.
 
     A completed depth is the minimum of an interpolated depth and the depth of the nearest enclosing plane. The
-    interpolated depth comes from harmonic interpolation of inverse depth. The interpolation starts from known cells
-    that lie on no enclosing plane, and from points that are known or interpolated in other images. For planar surfaces,
-    the interpolation is exact. A cell remains unknown if it would occlude a known surface of another image. All unknown
-    cells of an image remain unknown if less than a quarter of the image's cells are known. Completed cells have support
-    0, because no other image confirms them.
+    interpolated depth comes from harmonic interpolation of inverse depth, which is exact for planar surfaces. The
+    interpolation starts from known cells that lie on no enclosing plane, and from points that are known or interpolated
+    in other images.
+
+    A cell remains unknown if it would occlude a known surface of another image. If less than a quarter of an image's
+    cells are known, none of its unknown cells is completed. Completed cells have support 0, because no other image
+    confirms them.
 
     Args:
         surfaces: one surface per image.
@@ -64,7 +67,7 @@ def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], se
     enough = [_has_enough_known(surface, xyz) for surface in surfaces]
     completed = list(surfaces)
     # Images are completed in descending order of the number of known cells that lie on no enclosing plane (floor or
-    # wall). Later images continue the interpolated depths of earlier images, so that surfaces agree between images.
+    # wall). Later images continue the interpolated depths of earlier ones, so that surfaces agree between images.
     for index in np.argsort(sizes, kind="stable")[::-1]:
         if not enough[index]:
             continue
@@ -75,13 +78,13 @@ def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], se
 
 
 def _has_enough_known(surface: Surface, xyz: Array) -> bool:
-    """Whether enough cells of an image are known or contain projections of the points ``xyz`` (N, 3)."""
+    """Return true if enough cells of an image are known or contain projections of the points ``xyz`` (N, 3)."""
     known = surface.known | (project_inverse_depths(surface, xyz, 0).ravel() > 0)
     return bool(np.count_nonzero(known) >= MIN_KNOWN * len(known))
 
 
 def _off_planes(surface: Surface, planes: EnclosingPlanes) -> NDArray[np.bool_]:
-    """(N,) bool, true for cells that have a depth and whose world point lies on no enclosing plane."""
+    """Return an (N,) bool mask of the cells that have a depth and whose world point lies on no enclosing plane."""
     cells = np.flatnonzero(surface.known)
     off = np.zeros_like(surface.known)
     off[cells] = ~planes.contains(surface.points(cells))
@@ -133,7 +136,7 @@ def with_completed_depths(surface: Surface, inverse_depth: Array) -> Surface:
 
 
 def project_inverse_depths(surface: Surface, xyz: Array, pad: int) -> Array:
-    """Largest inverse depth (R, C) of the world points that project into each cell. The value is 0 for cells without
+    """Compute the largest inverse depth (R, C) of the world points that project into each cell, or 0 for cells without
     points.
 
     The result extends ``pad`` cells beyond the depth map on each side.
@@ -154,7 +157,7 @@ def interpolate_inverse_depths(
 ) -> Array:
     """Interpolate harmonically: each unknown cell (R, C) gets the weighted mean of its neighbours' values.
 
-    The weights are lower across edges in the image ``grey``. Each mean also includes the value 0 with weight
+    The weights are lower across edges in the image ``grey``. Each mean also includes the value 0, with the weight
     ``zero_weight``.
     """
     numbers = np.arange(known.size).reshape(known.shape)

@@ -1,5 +1,5 @@
-"""Stereo reconstruction of clean plates: a depth map for each plate. Depths that are inconsistent with other plates are
-removed.
+"""Stereo reconstruction of clean plates: estimate a depth map of each plate, and remove depths that are inconsistent
+with other plates.
 
 A depth map is a grid of cells. Each cell is centred on a pixel and stores a plane in space.
 """
@@ -31,13 +31,13 @@ MAX_SIDE_PX = 640
 MAX_CELLS = 16384
 """Maximum number of cells of a depth map."""
 MIN_FEATURES = 8
-"""Minimum number of triangulated points from which a depth range is estimated."""
+"""Minimum number of triangulated points that are needed to estimate a depth range."""
 MIN_RELIABLE = 30
-"""Minimum number of points that are seen in three or more plates. Below this number, points that are seen in only two
+"""Minimum number of points that are seen in three or more plates. If there are fewer, points that are seen in only two
 plates are also used."""
 NEAR_FACTOR, FAR_FACTOR = 0.5, 4.0
-"""Factors that widen the depth range. The first factor multiplies the 1st percentile of the depths of the triangulated
-points, and the second factor multiplies the 99th percentile."""
+"""Factors that widen the depth range: the first multiplies the 1st percentile of the triangulated points' depths, and
+the second multiplies the 99th."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ class StereoResult:
 
     @property
     def measured_share(self) -> float:
-        """Share, in [0, 1], of cells with a measured depth among the visible cells."""
+        """Fraction, in [0, 1], of the visible cells that have a measured depth."""
         return self.measured_cells / self.visible_cells
 
 
@@ -91,8 +91,7 @@ class ReducedPlate:
     Attributes:
         camera: pinhole camera of the reduced plate.
         rgb: (H, W, 3) uint8 colours.
-        seen: (H, W) bool, true for pixels that contain no part of a hole. A hole is an area in which the plate does not
-            show the background.
+        seen: (H, W) bool, true for pixels that contain no part of a hole, where the plate does not show the background.
     """
 
     camera: Camera
@@ -101,7 +100,7 @@ class ReducedPlate:
 
     @staticmethod
     def from_plate(plate: PlateView) -> ReducedPlate:
-        """Reduce a plate to the size that is used for stereo."""
+        """Reduce a plate to the size used for stereo."""
         scale = min(1.0, MAX_SIDE_PX / max(plate.camera.width, plate.camera.height))
         camera = plate.camera.rescale(scale)
         size = (camera.width, camera.height)
@@ -110,11 +109,11 @@ class ReducedPlate:
         return ReducedPlate(camera, np.asarray(rgb, np.uint8), share > 0.999)
 
     def grey_view(self) -> GreyView:
-        """The plate as a pyramid of grey images for patch comparison."""
+        """Convert the plate to a pyramid of grey images for patch comparison."""
         return GreyView.from_rgb(self.camera, self.rgb, self.seen)
 
     def grid(self) -> Grid:
-        """The cells of the plate's depth map."""
+        """Create the cells of the plate's depth map."""
         stride = int(np.ceil(np.sqrt(self.camera.width * self.camera.height / MAX_CELLS)))
         return Grid.covering(self.camera.width, self.camera.height, stride)
 
@@ -153,8 +152,8 @@ def _estimate_maps(
 
 
 def _depth_ranges(cameras: Sequence[Camera], xyz: Array) -> list[tuple[float, float]]:
-    """Depth range of each camera, computed from the triangulated points in the camera's image. If too few points are in
-    the image, all points are used."""
+    """Compute the depth range of each camera from the triangulated points in its image. If there are too few, the
+    depths of all cameras are used."""
     depths = []
     for camera in cameras:
         pixels, depth = camera.project(xyz)
@@ -165,7 +164,7 @@ def _depth_ranges(cameras: Sequence[Camera], xyz: Array) -> list[tuple[float, fl
 
 
 def _estimate_map(job: _Job) -> Iterator[tuple[int, DepthMap]]:
-    """Estimate one depth map in a worker process. Yields the index of the plate and the depth map."""
+    """Estimate one depth map in a worker process. Yields the plate's index and the depth map."""
     grid, camera = job.plate.grid(), job.plate.camera
     hypotheses: list[Floats] = [plane_in_view(plane, camera, grid) for plane in job.planes]
     hypotheses += triangle_planes(job.features, camera, grid)

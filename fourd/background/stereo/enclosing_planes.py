@@ -17,9 +17,10 @@ Bools = NDArray[np.bool_]
 
 MAX_POINTS = 20_000
 MIN_INLIERS = 0.05
-"""Minimum number of points on a plane, as a share of all points. Planes with fewer points belong to small objects."""
+"""Minimum number of points on a plane, as a fraction of all points. Planes with fewer points belong to small
+objects."""
 MAX_BEHIND = 0.01
-"""Maximum number of points behind a plane, as a share of all points."""
+"""Maximum number of points behind a plane, as a fraction of all points."""
 TOLERANCE = 0.02
 """A point lies on a plane if its distance from the plane, divided by its distance from the mean camera centre, is at
 most this value."""
@@ -55,13 +56,13 @@ class EnclosingPlanes:
         return EnclosingPlanes(np.array(found).reshape(-1, 4), middle)
 
     def contains(self, xyz: Array) -> Bools:
-        """(N,) bool, true for world points (N, 3) that lie on one of the planes."""
+        """Return an (N,) bool mask of the world points (N, 3) that lie on one of the planes."""
         near = TOLERANCE * np.linalg.norm(xyz - self.middle, axis=1)
         return np.asarray((np.abs(xyz @ self.planes[:, :3].T - self.planes[:, 3]) < near[:, None]).any(axis=1))
 
     def inverse_depth(self, camera: Camera, grid: Grid) -> Array:
-        """Inverse depth (N,) of the nearest plane at the cells of a depth map. The value is 0 where the cell's ray hits
-        no plane."""
+        """Compute the inverse depth (N,) of the nearest plane at the cells of a depth map, or 0 where the cell's ray
+        hits no plane."""
         nearest = np.zeros(len(grid.pixels))
         for plane in self.planes:
             inverse = (plane_in_view(plane, camera, grid) * grid.pixels).sum(axis=1)

@@ -1,4 +1,4 @@
-"""Detection and matching of SIFT features in images, and computation of fundamental matrices."""
+"""Detect and match SIFT features in images, and compute fundamental matrices."""
 
 from __future__ import annotations
 
@@ -25,19 +25,17 @@ MAX_SIDE_PX = 1600
 """Maximum length of an image's longer side in pixels. Larger images are reduced to this size before feature
 detection."""
 MIN_CONTRAST = 0.003
-"""SIFT's peak threshold. The threshold is lower than COLMAP's default of 0.0067 because walls have low contrast. The
-lower threshold also gives more wrong matches, which are rejected because they lie off the epipolar lines of the known
-poses."""
+"""SIFT's peak threshold. It is lower than COLMAP's default of 0.0067, because walls have low contrast. This also gives
+more wrong matches, but they lie off the epipolar lines of the known poses and are rejected."""
 HOLE_MARGIN_PX = 6
-"""Minimum distance in pixels between a feature and the holes of a plate. Near holes, plates are blurred."""
+"""Minimum distance in pixels between a feature and the holes of a plate, because plates are blurred near holes."""
 RATIO_TEST_THRESHOLD = 0.8
 """Maximum ratio d1 / d2 in Lowe's ratio test (IJCV 2004): d1 and d2 are the distances to the nearest and to the second
 nearest descriptor."""
 MAX_EXHAUSTIVE_CAMERAS = 8
 """Maximum number of cameras for which all pairs are matched."""
 MIN_COSINE = 0.4
-"""Minimum cosine of the angle between two cameras' viewing directions. Camera pairs with a cosine below this minimum
-are not matched."""
+"""Minimum cosine of the angle between the viewing directions of two cameras that are matched."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +49,7 @@ class Features:
 def pairs_to_match(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
     """Select the camera pairs to match.
 
-    With up to 8 cameras, all pairs are matched. With more cameras, two cameras are matched only if their viewing
+    If there are at most 8 cameras, all pairs are matched. Otherwise, two cameras are matched only if their viewing
     directions differ by less than 66 degrees.
     """
     return [
@@ -80,8 +78,8 @@ def write_pictures(folder: Path, plates: Sequence[PlateView]) -> list[str]:
 def extract_features(folder: Path, database: Path, names: list[str]) -> None:
     """Detect features in the images written by :func:`write_pictures` and add them to the COLMAP ``database``."""
     extraction = pycolmap.FeatureExtractionOptions(use_gpu=False)
-    # Neighbouring cameras of a typical ring are at least 18 degrees apart. At angles of 18 degrees or more, only
-    # affine-covariant features match.
+    # Neighbouring cameras in a typical ring are at least 18 degrees apart. At such angles, only affine-covariant
+    # features match.
     extraction.sift.estimate_affine_shape = True
     extraction.sift.peak_threshold = MIN_CONTRAST
     extraction.sift.max_num_features = MAX_FEATURES
@@ -100,7 +98,7 @@ def read_features(store: Any, image: int) -> Features:
 
 
 def match_features(first: Features, second: Features) -> NDArray[np.intp]:
-    """Index pairs (M, 2) of features that are mutual nearest neighbours and pass the ratio test."""
+    """Find index pairs (M, 2) of features that are mutual nearest neighbours and pass the ratio test."""
     if min(len(first.xy), len(second.xy)) < 2:
         return np.zeros((0, 2), np.intp)
     similarity = first.descriptors @ second.descriptors.T
@@ -113,8 +111,8 @@ def match_features(first: Features, second: Features) -> NDArray[np.intp]:
 
 
 def fundamental_matrix(camera: Camera, other: Camera) -> Array:
-    """(3, 3) fundamental matrix F. If x is a pixel of ``camera``, F @ x is the epipolar line of x in the image of
-    ``other``."""
+    """Compute the (3, 3) fundamental matrix F. If x is a pixel of ``camera``, F @ x is its epipolar line in the image
+    of ``other``."""
     rotation = other.rotation @ camera.rotation.T
     x, y, z = other.translation - rotation @ camera.translation
     essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ rotation

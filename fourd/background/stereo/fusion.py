@@ -24,24 +24,24 @@ Bools = NDArray[np.bool_]
 MIN_SCORE = 0.6
 """Minimum photometric score of a cell."""
 DEPTH_TOLERANCE = 0.01
-"""Maximum relative depth difference between a surface and a point that lies on the surface."""
+"""Maximum relative depth difference between a surface and a point at which the point counts as lying on the surface."""
 REPROJECTION_TOLERANCE_PX = 1.5
-"""Maximum forward-backward error in pixels. To compute the error, the centre of a cell is projected into another image.
-The surface point at this pixel of the other image is projected back into the cell's image. The error is the distance
-between the projected surface point and the cell's centre."""
+"""Maximum forward-backward error in pixels. To compute it, a cell's centre is projected into another image, and that
+image's surface point at this pixel is projected back into the cell's image. The error is the distance between the
+result and the cell's centre."""
 OCCLUSION_MARGIN = 0.03
-"""Relative depth difference above which a point in front of a known surface occludes the surface."""
+"""Relative depth difference above which a point in front of a known surface occludes it."""
 ITERATIONS = 3
 MIN_COMPONENT_CELLS = 25
 """Minimum number of cells in a connected component. Components with fewer cells are outliers."""
 CONTINUITY_TOLERANCE = 0.03
-"""Maximum relative error of the inverse depth that a cell's plane predicts at a neighbouring cell. If the error exceeds
-this maximum, the two cells are not connected."""
+"""Maximum relative error of the inverse depth that a cell's plane predicts at a neighbouring cell, up to which the two
+cells are connected."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A depth map that also stores which cells are known and how many images confirm each cell.
+    """A depth map that also records which cells are known and how many other images confirm each cell.
 
     Attributes:
         camera: pinhole camera of the image.
@@ -56,17 +56,17 @@ class Surface:
     support: NDArray[np.intp]
 
     def world(self, xy: Array, inverse_depth: Array) -> Array:
-        """(M, 3) world points at pixel indices (M, 2) with inverse depths (M,)."""
+        """Compute the world points (M, 3) at pixel indices (M, 2) with inverse depths (M,)."""
         rays = np.column_stack([xy, np.ones(len(xy))]) @ np.linalg.inv(index_intrinsics(self.camera)).T
         return np.asarray((rays / inverse_depth[:, None] - self.camera.translation) @ self.camera.rotation, np.float64)
 
     def points(self, cells: NDArray[np.intp]) -> Array:
-        """World points (M, 3) at the centres of the cells with the indices ``cells`` (M,)."""
+        """Compute the world points (M, 3) at the centres of the cells with the indices ``cells`` (M,)."""
         xy = self.depths.grid.pixels[cells, :2].astype(np.float64)
         return self.world(xy, self.depths.inverse_depth[cells].astype(np.float64))
 
     def project(self, xyz: Array) -> Projection:
-        """Project world points (M, 3) into the image, and compare their depths with the depths of the surface."""
+        """Project world points (M, 3) into the image, and compare their depths with those of the surface."""
         pixels, depth = self.camera.project(xyz)
         xy = pixels - 0.5
         grid = self.depths.grid
@@ -83,7 +83,7 @@ class Projection:
     Attributes:
         xy: (M, 2) pixel indices.
         cells: (M,) index of the depth-map cell, or -1 outside the image.
-        ratio: (M,) depth of the point divided by the depth of the surface. The ratio is NaN if the surface is unknown.
+        ratio: (M,) depth of the point divided by the depth of the surface, or NaN if the surface is unknown.
         inverse_depth: (M,) inverse depth of the surface, or NaN if the surface is unknown.
     """
 
@@ -106,10 +106,9 @@ class Projection:
 def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list[Surface]:
     """Remove those cells of depth maps that are inconsistent with other depth maps.
 
-    A cell is kept if at least one other image confirms it. In addition, the number of known surfaces that the cell
-    occludes must be smaller than the number of images that confirm the cell. One confirmation is enough, because often
-    only two cameras see a wall. If only two cameras see a surface, one in 60 of its cells is confirmed although its
-    depth is wrong. Connected components of fewer than 25 cells are removed.
+    A cell is kept if the number of other images that confirm it is at least 1 and exceeds the number of images whose
+    known surface it occludes. One confirmation is enough, because often only two cameras see a wall; on such a surface,
+    one in 60 cells is confirmed although its depth is wrong. Connected components of fewer than 25 cells are removed.
     """
     surfaces = [
         Surface(camera, depths, depths.scores > MIN_SCORE, np.zeros(len(depths.scores), np.intp))
@@ -123,8 +122,7 @@ def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list
 def _filter_consistent(index: int, surfaces: Sequence[Surface], strict: bool) -> Surface:
     """Keep the cells that at least one other surface confirms.
 
-    If ``strict`` is true, the number of surfaces that a kept cell occludes must also be lower than the number of
-    surfaces that confirm it.
+    If ``strict`` is true, the number of surfaces that confirm a kept cell must also exceed the number that it occludes.
     """
     surface = surfaces[index]
     cells = np.flatnonzero(surface.known)
@@ -141,8 +139,8 @@ def count_agreement(
     """Compare cells (M,) of one surface with all other surfaces.
 
     Returns:
-        agreeing: (M,) number of other surfaces that agree with the cell. A surface agrees if the cell's centre,
-            projected into the image of the surface and back, returns to about the same position.
+        agreeing: (M,) number of other surfaces that agree with the cell. A surface agrees if its depth matches and if
+            the cell's centre, projected into the surface's image and back, returns to about the same position.
         occluded: (M,) number of other surfaces that the cell would occlude.
     """
     surface = surfaces[index]
@@ -160,9 +158,9 @@ def count_agreement(
 
 
 def _large_components(depths: DepthMap, known: Bools) -> Bools:
-    """(N,) bool, true for known cells whose connected component has at least 25 cells.
+    """Return an (N,) bool mask of the known cells whose connected component has at least 25 cells.
 
-    Neighbouring cells are connected if the plane of one cell predicts the depth of the other cell.
+    Neighbouring cells are connected if the plane of one predicts the depth of the other.
     """
     numbers = np.arange(len(known)).reshape(depths.grid.shape)
     neighbours = (

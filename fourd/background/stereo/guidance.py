@@ -19,13 +19,13 @@ from fourd.background.stereo.patches import Floats, GreyView
 Array = NDArray[np.float64]
 
 GUIDE_WEIGHT = 0.01
-"""Weight with which the interpolation pulls the correction, which is added to the guide's inverse depth, towards 0. The
-correction therefore decays with the distance from known cells. The weight is divided by the square of the share of
-known cells. If almost all cells are known, the correction decays to one half over seven cells. If few cells are known,
-they are unreliable, and the correction decays over a shorter distance."""
+"""Weight with which the interpolation of the correction includes the value 0, so that the correction decays with the
+distance from known cells. If almost all cells are known, it decays to one half over seven cells. The weight is divided
+by the square of the fraction of known cells: if few cells are known, they are unreliable, and the correction decays
+faster."""
 MIN_GUIDE_FACTOR = 0.25
-"""Minimum of the corrected inverse depth, as a multiple of the guide's inverse depth. Without this minimum, the
-correction could make the inverse depth negative."""
+"""Minimum of the corrected inverse depth, as a multiple of the guide's inverse depth. It prevents the correction from
+making the inverse depth negative."""
 
 
 def complete_with_guidance(
@@ -33,9 +33,9 @@ def complete_with_guidance(
 ) -> list[Surface]:
     """Complete the unknown cells of surfaces with guides, which are coarse depth estimates.
 
-    In known cells, the correction is the known inverse depth minus the inverse depth of the guide. In unknown cells,
-    the correction is extrapolated and added to the guide. Cells that would occlude a known surface of another image
-    stay unknown. Completed cells have support 0, because no other image confirms them.
+    The correction of the guide is the known inverse depth minus the guide's inverse depth. It is extrapolated into
+    unknown cells and added to the guide there. Cells that would occlude a known surface of another image stay unknown.
+    Completed cells have support 0, because no other image confirms them.
 
     Args:
         surfaces: one surface per image.
@@ -56,8 +56,8 @@ def _complete(surface: Surface, view: GreyView, guide: Array, xyz: Array) -> Sur
 
 
 def _correct_guide(known: Array, guide: Array, grey: Floats) -> Array:
-    """Complete the known inverse depths (R, C), in which 0 marks unknown cells. Unknown cells get the inverse depth of
-    the guide plus the extrapolated correction."""
+    """Complete the known inverse depths (R, C), in which 0 marks unknown cells. These get the guide's inverse depth
+    plus the extrapolated correction."""
     unknown = known == 0
     if unknown.all():
         return guide

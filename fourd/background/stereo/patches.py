@@ -21,23 +21,22 @@ HALF_WINDOW = 2
 STEP_PX = 3
 """Distance in pixels between samples of the smallest window."""
 LEVELS = 4
-"""Number of window sizes. Each window is twice as wide as the previous window. Large windows are needed on smooth
-walls, which have texture only at large scales."""
+"""Number of window sizes, each twice as wide as the previous one. Large windows are needed on smooth walls, which have
+texture only at large scales."""
 MIN_TEXTURE = 2.5 / 255
-"""Minimum root mean square difference between the grey values, in [0, 1], of neighbouring samples of a window. Each
-cell uses the smallest window size with a difference above this minimum in every direction."""
+"""Minimum root mean square difference between the grey values, in [0, 1], of neighbouring samples in a window. Each
+cell uses the smallest window size that exceeds this minimum in every direction."""
 NOISE_STD = 1.5 / 255
-"""Standard deviation of image noise, for grey values in [0, 1]. Windows with less contrast than the noise cannot be
-matched."""
+"""Standard deviation of image noise, for grey values in [0, 1]. Windows with less contrast cannot be matched."""
 MIN_VISIBLE = 0.6
-"""Minimum number of a window's samples that lie outside holes, as a share of all samples of the window."""
+"""Minimum fraction of a window's samples that lie outside holes."""
 SINGLE_SOURCE_PENALTY = np.float32(0.05)
-"""Value subtracted from the correlation if the cell is visible in only one source image."""
+"""Value that is subtracted from the correlation if the cell is visible in only one source image."""
 UNKNOWN_SCORE = np.float32(-1.0)
 """Score of a plane that cannot be compared with any source image."""
 BLOCK = 8192
-"""Number of cells that are processed together. The arrays of one block fit into the processor's cache. The side lengths
-of these arrays are below 32,767, the limit of OpenCV's remap."""
+"""Number of cells that are processed together. It is so small that a block's arrays fit into the processor's cache, and
+that their side lengths stay below 32,767, the limit of OpenCV's remap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +46,7 @@ class GreyView:
     Attributes:
         camera: pinhole camera of the image.
         greys: (H, W) float32 grey values in [-0.5, 0.5], one array per window size, with NaN in holes. The first array
-            is almost sharp. In the other arrays, the blur is proportional to the window size.
+            is almost sharp, and the blur of the others is proportional to the window size.
     """
 
     camera: Camera
@@ -69,7 +68,7 @@ class GreyView:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """A regular grid of cells over an image. Depth maps have one plane per cell.
+    """A regular grid of cells over an image. A depth map has one plane per cell.
 
     A plane is stored as a 3-vector p with p . (x, y, 1) = 1 / depth for pixel indices x (column) and y (row).
 
@@ -93,11 +92,12 @@ class Grid:
 
     @property
     def indices(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Rows and columns (N,) of the pixels at the cell centres."""
+        """Rows (N,) and columns (N,) of the pixels at the cell centres."""
         return self.pixels[:, 1].astype(np.intp), self.pixels[:, 0].astype(np.intp)
 
     def cells_at(self, xy: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Indices (M,) of the cells that contain pixel indices (M, 2), or -1 outside the grid and for NaN."""
+        """Return the indices (M,) of the cells that contain pixel indices (M, 2), or -1 outside the grid and for
+        NaN."""
         columns, rows = (np.rint((xy[:, axis] - self.pixels[0, axis]) / self.stride) for axis in (0, 1))
         height, width = self.shape
         inside = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
@@ -105,7 +105,7 @@ class Grid:
 
 
 def index_intrinsics(camera: Camera) -> NDArray[np.float64]:
-    """Intrinsic matrix (3, 3) for pixel indices: the centre of the first pixel has the index (0, 0) instead of (0.5,
+    """Return the intrinsic matrix (3, 3) for pixel indices: the centre of the first pixel is at (0, 0) instead of (0.5,
     0.5)."""
     k = camera.intrinsics.copy()
     k[:2, 2] -= 0.5
@@ -113,8 +113,8 @@ def index_intrinsics(camera: Camera) -> NDArray[np.float64]:
 
 
 class PatchSimilarity:
-    """Scores planes for the cells of one image. To score a plane, this class compares the window around the cell with
-    the parts of the source images to which the plane maps the window."""
+    """Scores planes for the cells of one image, by comparing the window around a cell with the parts of the source
+    images to which the plane maps it."""
 
     def __init__(self, view: GreyView, sources: Sequence[GreyView], grid: Grid) -> None:
         """Sample the windows of ``view`` at the cells of ``grid`` for comparison with ``sources``."""
@@ -134,16 +134,16 @@ class PatchSimilarity:
         self.usable: NDArray[np.bool_] = centre & (count >= MIN_VISIBLE * len(self._across)) & (std > NOISE_STD)
         """(N,) bool, true for cells that can be matched.
 
-        A cell can be matched if its centre and enough of its window are visible. In addition, the contrast of its
-        window must exceed the noise.
+        A cell can be matched if its centre and enough of its window are visible, and if the window's contrast exceeds
+        the noise.
         """
 
     def scores(self, cells: NDArray[np.intp], planes: Floats) -> Floats:
         """Score planes (n, 3) of cells (n,).
 
-        The score of a plane is the mean of its two highest correlations with source images. Occlusion in the remaining
-        source images therefore does not lower the score. If the cell is visible in only one source image, the score is
-        the correlation with this image minus SINGLE_SOURCE_PENALTY.
+        The score of a plane is the mean of its two highest correlations with source images, so that occlusion in the
+        others does not lower it. If the cell is visible in only one source image, the score is the correlation with
+        this image minus SINGLE_SOURCE_PENALTY.
 
         Returns:
             (n,) scores of at most 1, or -1 if the cell is visible in no source image.
@@ -173,7 +173,7 @@ class PatchSimilarity:
 
 @dataclass(frozen=True, eq=False)
 class _PlaneWarp:
-    """Mapping of pixels of one image into another image through a plane in space.
+    """Mapping of pixels from one image to another through a plane in space.
 
     A pixel index p = (x, y, 1) with inverse depth w maps to the homogeneous pixel index ``matrix @ p + w * shift``.
     """
@@ -183,7 +183,7 @@ class _PlaneWarp:
 
     @staticmethod
     def between(view: Camera, other: Camera) -> _PlaneWarp:
-        """The warp from ``view`` into ``other``."""
+        """Create the warp from ``view`` into ``other``."""
         rotation = other.rotation @ view.rotation.T
         k = index_intrinsics(other)
         matrix = k @ rotation @ np.linalg.inv(index_intrinsics(view))
@@ -191,8 +191,8 @@ class _PlaneWarp:
         return _PlaneWarp(matrix.astype(np.float32), shift.astype(np.float32))
 
     def is_inside(self, pixels: Floats, planes: Floats, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """Mask (n,) of the cells that project into the other image, which has the shape (H, W). The projected points
-        are the points of the planes (n, 3) at the cell centres ``pixels`` (n, 3)."""
+        """Return a mask (n,) of the cells that project into the other image, which has the shape (H, W). The projected
+        point of a cell lies on the cell's plane (n, 3) at the cell's centre ``pixels`` (n, 3)."""
         x, y, depth = self._warp_centres(pixels, planes)
         height, width = shape
         return (depth > 0) & (x >= 0) & (y >= 0) & (x <= (width - 1) * depth) & (y <= (height - 1) * depth)
@@ -211,7 +211,7 @@ class _PlaneWarp:
         return x * inverse, y * inverse
 
     def _warp_centres(self, pixels: Floats, planes: Floats) -> Floats:
-        """Homogeneous pixel indices (3, n) of the cell centres in the other image."""
+        """Compute the homogeneous pixel indices (3, n) of the cell centres in the other image."""
         # The matrix product is written as an explicit sum, because BLAS would start threads in each worker process.
         inverse = np.einsum("nc,nc->n", planes, pixels)
         rotated = self.matrix[:, :1] * pixels[:, 0] + self.matrix[:, 1:2] * pixels[:, 1] + self.matrix[:, 2:]
@@ -219,8 +219,8 @@ class _PlaneWarp:
 
 
 def _window_levels(view: GreyView, grid: Grid) -> NDArray[np.int8]:
-    """Index (N,) of each cell's window size: the smallest size with enough texture in every direction. If no size has
-    enough texture, the largest size is used."""
+    """Choose the index (N,) of each cell's window size: the smallest size with enough texture in every direction, or
+    the largest if none has enough."""
     level = np.full(len(grid.pixels), LEVELS - 1, np.int8)
     for index in reversed(range(LEVELS)):
         grey = np.nan_to_num(view.greys[index])
@@ -235,7 +235,7 @@ def _window_levels(view: GreyView, grid: Grid) -> NDArray[np.int8]:
 
 
 def _difference_kernels(step: int) -> tuple[Floats, Floats]:
-    """Horizontal and vertical kernels that compute grey differences over ``step`` pixels."""
+    """Create horizontal and vertical kernels that compute grey differences over ``step`` pixels."""
     half = (step + 1) // 2
     kernel = np.zeros((1, 2 * half + 1), np.float32)
     kernel[0, 0], kernel[0, -1] = -step / (2 * half), step / (2 * half)
@@ -243,7 +243,7 @@ def _difference_kernels(step: int) -> tuple[Floats, Floats]:
 
 
 def _correlations(first: Floats, second: Floats) -> Floats:
-    """Correlations (n,) of windows (o, n) over the samples that are visible in both windows. The result is -1 if too
+    """Compute the correlations (n,) of windows (o, n) over the samples that are visible in both windows, or -1 if too
     few samples are visible."""
     a, b = first - first.mean(axis=0), second - second.mean(axis=0)
     ab, aa, bb = (np.einsum("on,on->n", u, v) / len(first) for u, v in ((a, b), (a, a), (b, b)))
@@ -271,7 +271,7 @@ def _masked_correlations(first: Floats, second: Floats) -> Floats:
 
 
 def _count_and_std(windows: Floats) -> tuple[NDArray[np.intp], Floats]:
-    """For each of n windows of o samples: the number of visible samples (n,), and their standard deviation (n,)."""
+    """Compute the number (n,) and the standard deviation (n,) of the visible samples in n windows of o samples."""
     known = np.isfinite(windows)
     count = known.sum(axis=0)
     share = np.maximum(count, 1)
@@ -280,13 +280,12 @@ def _count_and_std(windows: Floats) -> tuple[NDArray[np.intp], Floats]:
 
 
 def _sample_grey(grey: Floats, x: Floats, y: Floats) -> Floats:
-    """Bilinearly interpolated values at pixel indices x and y. The values are NaN outside the image and for positions
-    that are NaN."""
+    """Interpolate values bilinearly at pixel indices x and y. Values are NaN outside the image and at NaN positions."""
     if not x.size:
         return np.empty(x.shape, np.float32)
     height, width = grey.shape
     # cv2.remap accepts only a limited range of positions, so positions far outside the image are moved to about 9
-    # pixels outside it. NaN is also replaced by a position outside the image.
+    # pixels outside it. NaN positions are also moved outside it.
     x, y = np.fmax(np.fmin(x, width + 9), -9), np.fmax(np.fmin(y, height + 9), -9)
     outside = float("nan")
     return np.asarray(

@@ -1,8 +1,8 @@
-"""Depth map of one image by PatchMatch, which propagates planes between neighbouring cells.
+"""Estimate the depth map of one image by PatchMatch, which propagates planes between neighbouring cells.
 
 The method is PatchMatch Stereo (Bleyer, Rhemann, Rother, BMVC 2011). All cells are updated in parallel, as in Galliani,
-Lasinger, Schindler, ICCV 2015. Each cell tests planes instead of depths, because fronto-parallel windows do not match
-on surfaces at grazing angles, such as floors.
+Lasinger, Schindler, ICCV 2015. Cells store planes instead of depths, because fronto-parallel windows do not match on
+surfaces at grazing angles, such as floors.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ ITERATIONS = 4
 RANDOM_PLANES = 6
 MIN_INCIDENCE_COSINE = float(np.cos(np.radians(88)))
 """Minimum cosine of the angle between a plane's normal and the ray. The limit of 88 degrees permits distant floors,
-whose normals are at about 87 degrees to the ray."""
+where the angle is about 87 degrees."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 4), (0, -4), (4, 0), (-4, 0))
-"""Offsets (rows, columns) from a cell to the neighbours whose planes are propagated to this cell."""
+"""Offsets (rows, columns) from a cell to the neighbours whose planes are propagated to it."""
 SAME_DEPTH = 1e-3
-"""Minimum relative difference in inverse depth between a neighbour's plane and the cell's current plane. Planes with a
-smaller difference are not tried."""
+"""Minimum relative difference in inverse depth between a neighbour's plane and the cell's current plane, for which the
+neighbour's plane is tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class DepthMap:
 
     Attributes:
         grid: the grid of N cells.
-        planes: (N, 3) float32 planes, stored as described in Grid.
+        planes: (N, 3) float32 planes, stored as described in :class:`Grid`.
         scores: (N,) float32 photometric similarity of at most 1, or UNKNOWN_SCORE if the plane is unknown.
     """
 
@@ -64,7 +64,7 @@ class DepthMap:
 
 
 def _slope(values: Array, axis: int) -> Array:
-    """Finite differences (N,), per cell, of values (R, C) along an axis."""
+    """Compute finite differences (N,) of values (R, C) along an axis, per cell."""
     return np.gradient(values, axis=axis).ravel() if values.shape[axis] > 1 else np.zeros(values.size)
 
 
@@ -103,7 +103,7 @@ def estimate_depth_map(
 
 
 class _PlaneSearch:
-    """Search for the plane with the highest score in each cell. The object stores the best planes and their scores."""
+    """Search for the plane with the highest score in each cell. Stores the best planes and their scores."""
 
     def __init__(
         self, view: GreyView, similarity: PatchSimilarity, grid: Grid, min_inverse: float, max_inverse: float
@@ -129,8 +129,8 @@ class _PlaneSearch:
         self.planes[cells[better]] = planes[cells[better]]
 
     def propagate(self, down: int, across: int) -> None:
-        """For each cell, try the plane of the neighbour at the given offset. The plane is tried only if the neighbour
-        has a higher score and its plane gives a different depth."""
+        """For each cell, try the plane of the neighbour at the given offset if the neighbour has a higher score and its
+        plane gives a different depth."""
         rows, columns = self._grid.shape
         numbers = np.arange(rows * columns).reshape(rows, columns)
         i, j = np.clip(np.arange(rows) + down, 0, rows - 1), np.clip(np.arange(columns) + across, 0, columns - 1)
@@ -140,13 +140,13 @@ class _PlaneSearch:
         self.try_planes(planes, (self.scores[other] > self.scores) & (np.abs(theirs - ours) > SAME_DEPTH * ours))
 
     def random_planes(self, rng: np.random.Generator) -> Floats:
-        """Random planes (N, 3) that face the camera. The inverse depths of the planes are uniformly distributed over
-        the depth range."""
+        """Draw random planes (N, 3) that face the camera, with inverse depths distributed uniformly over the depth
+        range."""
         count = len(self.planes)
         return self._planes_at(rng.uniform(*self._range, count), self._random_normals(rng, count))
 
     def perturbed_planes(self, rng: np.random.Generator, share: float) -> Floats:
-        """The current planes (N, 3) with random changes of inverse depth and normal. The changes are proportional to
+        """Return the current planes (N, 3) with random changes of inverse depth and normal, which are proportional to
         ``share``."""
         inverse = self._inverse_depth(self.planes)
         normals = self.planes @ self._k
@@ -155,14 +155,15 @@ class _PlaneSearch:
         return self._planes_at(inverse * (1 + share * rng.uniform(-0.2, 0.2, len(inverse))), normals)
 
     def _planes_at(self, inverse: NDArray[np.floating], normals: NDArray[np.floating]) -> Floats:
-        """Planes with normals (N, 3) in camera coordinates and the given inverse depths (N,) at the cell centres."""
+        """Create planes with normals (N, 3) in camera coordinates and the given inverse depths (N,) at the cell
+        centres."""
         planes = normals @ np.linalg.inv(self._k)
         unscaled = np.einsum("nc,nc->n", planes, self._grid.pixels)
         with np.errstate(divide="ignore", invalid="ignore"):
             return (planes * (inverse / unscaled)[:, None]).astype(np.float32)
 
     def _random_normals(self, rng: np.random.Generator, count: int) -> Floats:
-        """Random directions (N, 3) within about 70 degrees of the cells' rays."""
+        """Draw random directions (N, 3) within about 70 degrees of the cells' rays."""
         sideways = rng.normal(size=(count, 3))
         return (
             self._rays + sideways / np.linalg.norm(sideways, axis=1, keepdims=True) * rng.uniform(0, 0.95, (count, 1))
@@ -172,8 +173,8 @@ class _PlaneSearch:
         return np.einsum("nc,nc->n", planes, self._grid.pixels)
 
     def _is_valid(self, planes: Floats) -> NDArray[np.bool_]:
-        """(N,) bool, true for planes that are in the depth range and are not seen edge-on. For planes with NaN, the
-        result is false."""
+        """Return an (N,) bool mask of the planes that are in the depth range and are not seen edge-on. It is false for
+        NaN planes."""
         inverse = self._inverse_depth(planes)
         normals = planes @ self._k.astype(np.float32)
         cosine = np.einsum("nc,nc->n", normals, self._rays)

@@ -17,7 +17,8 @@ MIN_INLIER_WEIGHT = 12
 """Minimum sum of the weights of a plane's inliers."""
 RANSAC_TRIALS = 500
 TOLERANCE = 0.003
-"""Maximum distance of inliers from a plane, as a multiple of the typical distance between cameras and points."""
+"""Maximum distance of a plane's inliers from the plane, as a multiple of the typical distance between cameras and
+points."""
 
 
 def find_large_planes(xyz: Array, weights: Array, distance: float, rng: np.random.Generator) -> Array:
@@ -54,8 +55,8 @@ def find_large_planes(xyz: Array, weights: Array, distance: float, rng: np.rando
 
 
 def plane_in_view(plane: Array, camera: Camera, grid: Grid) -> Floats:
-    """Convert a world plane (n, d) to the form described in Grid. The result (N, 3) repeats the plane for the N cells
-    of a camera's image."""
+    """Convert a world plane (n, d) to the form described in :class:`Grid`. The result (N, 3) repeats the plane for the
+    N cells of the camera's image."""
     normal = camera.rotation @ plane[:3]
     offset = plane[3] + normal @ camera.translation
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -67,9 +68,9 @@ def triangle_planes(xyz: Array, camera: Camera, grid: Grid) -> list[Floats]:
     """Create planes from a Delaunay triangulation of the projections of points ``xyz`` (M, 3).
 
     Returns:
-        up to two sets of planes (N, 3), one plane per cell. In the first set, a cell has the plane of the triangle that
-        contains the cell, or NaN if no triangle contains the cell. In the second set, a cell has the fronto-parallel
-        plane at the depth of the point that is nearest to the cell in the image.
+        up to two sets of planes (N, 3), with one plane per cell. In the first set, it is the plane of the triangle that
+        contains the cell, or NaN if there is none. In the second set, it is the fronto-parallel plane at the depth of
+        the point that is nearest to the cell in the image.
     """
     pixels, depth = camera.project(xyz)
     pixels, depth = pixels[depth > 0] - 0.5, depth[depth > 0]

@@ -1,5 +1,4 @@
-"""Selection of source cameras for a reference camera. The source cameras must see the space in front of the reference
-camera at suitable triangulation angles."""
+"""Select the source cameras that see the space in front of a reference camera at suitable triangulation angles."""
 
 from __future__ import annotations
 
@@ -17,23 +16,20 @@ RAYS = 12
 DEPTHS = 8
 BEST_ANGLE_DEG = 15.0
 ANGLE_SPREAD = 0.9
-"""Half width at half maximum, in ln(angle), of a source camera's score. The score is a bell-shaped function of
-ln(angle). The angle at a point is the angle between the rays from the point to the source camera and to the camera
-whose depth is computed. The score is 1 at 15 degrees, 1/2 at 6 and at 37 degrees, and 1/7 at 130 degrees (a floor that
-is seen from the opposite side)."""
+"""Half width at half maximum of a source camera's score, which is a bell-shaped function of ln(angle). The angle is
+measured at a point, between the rays to the source camera and to the reference camera. The score is 1 at 15 degrees,
+1/2 at 6 and at 37 degrees, and 1/7 at 130 degrees (a floor that is seen from the opposite side)."""
 MIN_GAIN = 0.01
-"""Minimum increase of the objective, divided by the number of sampled points. A source camera is not added if the
-increase is below this minimum."""
+"""Minimum increase of the objective, divided by the number of sampled points, for which a source camera is added."""
 
 
 def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthest: float) -> list[int]:
-    """Select up to 6 source cameras for the reference camera ``index``. If possible, each point in the reference
-    camera's frustum is seen by two source cameras.
+    """Select up to 6 source cameras for the reference camera ``index`` such that, if possible, two of them see each
+    point in its frustum.
 
-    Points are sampled in the frustum between the depths ``nearest`` and ``farthest``. The score of a source camera for
-    a point depends on the angle between the rays of the two cameras to the point. The objective is the sum, over all
-    sampled points, of the two best scores of each point. The selection is greedy: each step adds the camera that
-    increases the objective most.
+    Points are sampled in the frustum between the depths ``nearest`` and ``farthest``. A source camera's score for a
+    point depends on the triangulation angle with the reference camera. The objective is the sum of each sampled point's
+    two best scores. The selection is greedy: each step adds the camera that increases the objective most.
     """
     xyz = _frustum_points(cameras[index], nearest, farthest)
     scores = np.array([_view_scores(cameras[index], other, xyz) for other in cameras])
@@ -54,7 +50,8 @@ def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthe
 
 
 def _frustum_points(camera: Camera, nearest: float, farthest: float) -> Array:
-    """World points (N, 3) in the camera's frustum, on a grid over the image and at uniform steps of inverse depth."""
+    """Sample world points (N, 3) in the camera's frustum, on a grid over the image and at uniform steps of inverse
+    depth."""
     middles = (np.arange(RAYS) + 0.5) / RAYS
     x, y = np.meshgrid(middles * camera.width, middles * camera.height)
     pixels = np.column_stack([x.ravel(), y.ravel()])
@@ -63,8 +60,8 @@ def _frustum_points(camera: Camera, nearest: float, farthest: float) -> Array:
 
 
 def _view_scores(camera: Camera, other: Camera, xyz: Array) -> Array:
-    """Scores (N,) in [0, 1] of the source camera ``other`` for points. The score is 0 for points outside the image of
-    ``other``."""
+    """Compute the scores (N,) in [0, 1] of the source camera ``other`` for points. The score is 0 for points outside
+    its image."""
     pixels, depth = other.project(xyz)
     seen = other.is_in_image(pixels, depth)
     cosine = np.einsum("nc,nc->n", _directions(camera, xyz), _directions(other, xyz))

@@ -1,5 +1,5 @@
-"""Sparse points of clean plates. Features are matched along epipolar lines, and COLMAP triangulates them with fixed
-cameras."""
+"""Sparse points of clean plates, from features that are matched along epipolar lines and that COLMAP triangulates with
+fixed cameras."""
 
 from __future__ import annotations
 
@@ -60,7 +60,8 @@ class SparsePoints:
     def reliable(self) -> NDArray[np.bool_]:
         """(N,) bool, true for points that are seen in three plates or more.
 
-        On repetitive textures, half of the points that are seen in only two plates are wrong.
+        Other points are less reliable: on repetitive textures, half of the points that are seen in only two plates are
+        wrong.
         """
         return self.seen.sum(axis=1) >= 3
 
@@ -129,7 +130,8 @@ def _known_cameras(store: Any, images: list[Any], cameras: Sequence[Camera]) -> 
     for image, camera in zip(images, cameras, strict=True):
         lens = store.read_camera(image.camera_id)
         k = camera.intrinsics
-        # In COLMAP and in this project, the centre of the first pixel is at (0.5, 0.5).
+        # The values need no conversion: both in COLMAP and in this project, the centre of the first pixel is at (0.5,
+        # 0.5).
         lens.params = [k[0, 0], k[1, 1], k[0, 2], k[1, 2]]
         store.update_camera(lens)
         known.add_camera_with_trivial_rig(lens)

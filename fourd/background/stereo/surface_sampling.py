@@ -1,4 +1,4 @@
-"""Sampling of points on surfaces. The points are evenly spread over the images."""
+"""Sample points on surfaces, evenly spread over the images."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 SAME_SURFACE = 0.05
-"""Maximum relative difference in depth between a sample of one image and the surface of another image. Up to this
-difference, the sample also counts as a sample of the other surface."""
+"""Maximum relative depth difference between a sample of one image and the surface of another image, up to which the
+sample also counts as a sample of that surface."""
 BISECTION_STEPS = 8
 MIN_SIDE_PX = 1.0
 """Minimum side length, in pixels, of the squares into which :func:`sample_surfaces` divides the images."""
 EDGE_TOLERANCE = 0.05
-"""Maximum relative error of the inverse depth that a cell's plane predicts at a neighbouring cell. A cell is at a depth
-edge if the errors at the neighbours on both sides exceed this maximum."""
+"""Maximum relative error of the inverse depth that a cell's plane predicts at its neighbours along an axis. A cell is
+at a depth edge if the errors on both sides exceed it."""
 MAX_PARTS = 2
-"""Maximum number of parts into which a square is divided along each axis. With more parts, all gaps between points on
-steep surfaces are closed. However, each point of a floor then hides the lower half of the points behind it. The texture
-of the floor is then shifted upwards in the image by half the size of a point."""
+"""Maximum number of parts into which a square is divided along each axis. More parts would close all gaps between
+points on steep surfaces, but each point of a floor would hide the lower half of the points behind it, which would shift
+the floor's texture upwards in the image by half the size of a point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,20 +43,20 @@ class Samples:
     support: NDArray[np.intp]
 
     def select(self, rows: Bools) -> Samples:
-        """Select samples with a mask ``rows`` (M,) bool."""
+        """Select samples with the bool mask ``rows`` (M,)."""
         return Samples(self.xy[rows], self.xyz[rows], self.support[rows])
 
 
 def sample_surfaces(surfaces: Sequence[Surface], seen: Sequence[Bools], points: int) -> list[Samples]:
     """Sample all surfaces, with at most ``points`` samples in total.
 
-    Each image is tiled with squares. All squares have the same size, which is the smallest size that gives at most
-    ``points`` samples. A square is divided into parts if the image's camera sees its surface at a grazing angle.
-    Without this division, a camera that sees the surface less obliquely would see gaps between the samples. The centre
-    of each part is sampled if ``seen`` (H, W) is true at the centre. A centre is not sampled if an earlier sample, from
-    any image, already lies on the surface within the part. Near objects therefore get more points than far objects, but
-    the number of points does not depend on how many images show a surface. Cells that other images confirm are sampled
-    first, and extrapolated cells afterwards.
+    Each image is tiled with squares, all of the smallest size that gives at most ``points`` samples. A square is
+    divided into parts if the image's camera sees its surface at a grazing angle, because cameras that see the surface
+    less obliquely would otherwise see gaps between the samples.
+
+    The centre of each part is sampled if ``seen`` (H, W) is true there and no earlier sample, from any image, lies on
+    the surface within the part. Near objects therefore get more points than far ones, but the number of points does not
+    depend on how many images show a surface. Cells that other images confirm are sampled before extrapolated cells.
 
     Returns:
         the samples of each image.
@@ -92,8 +92,8 @@ class _SlopedSurface:
 
 
 def _sample_at(sloped: Sequence[_SlopedSurface], seen: Sequence[Bools], side: float, limit: int) -> list[Samples]:
-    """Sample all surfaces with squares whose side is ``side`` pixels. Sampling ends early if there are more than
-    ``limit`` samples."""
+    """Sample all surfaces with squares of side ``side`` pixels. Sampling ends early once there are more than ``limit``
+    samples."""
     tilings = [_Tiling.of(each, side) for each in sloped]
     candidates = [_part_samples(*each) for each in zip(sloped, seen, tilings, strict=True)]
     taken = [np.zeros(len(each.xyz), bool) for each in candidates]
@@ -111,7 +111,7 @@ def _sample_at(sloped: Sequence[_SlopedSurface], seen: Sequence[Bools], side: fl
 
 
 def _part_samples(sloped: _SlopedSurface, seen: Bools, tiling: _Tiling) -> Samples:
-    """Sample the surface at the centre of each part, if this centre lies on a known cell."""
+    """Sample the surface at the centre of each part if the centre lies on a known cell."""
     surface = sloped.surface
     xy = tiling.centres()
     last = (surface.camera.width - 1, surface.camera.height - 1)
@@ -128,8 +128,8 @@ def _part_samples(sloped: _SlopedSurface, seen: Bools, tiling: _Tiling) -> Sampl
 
 @dataclass(frozen=True)
 class _Squares:
-    """An image tiled with squares. Every second row of squares is shifted left by half a square, which makes the
-    density more even.
+    """An image tiled with squares. Every second row of squares is shifted left by half a square, to make the density
+    more even.
 
     Attributes:
         side: side length of a square in pixels.
@@ -150,15 +150,16 @@ class _Squares:
         return int(np.ceil(self.height / self.side))
 
     def corners(self) -> tuple[Array, Array]:
-        """Upper left corners (N, 2) and lower right corners (N, 2) of the squares in pixels, clipped to the image."""
+        """Compute the upper left corners (N, 2) and the lower right corners (N, 2) of the squares in pixels, clipped to
+        the image."""
         column, row = (axis.ravel() for axis in np.meshgrid(np.arange(self.columns), np.arange(self.rows)))
         begins = np.stack([column * self.side - self._shift(row), row * self.side], axis=1)
         size = (self.width, self.height)
         return np.clip(begins, 0, size), np.clip(begins + self.side, 0, size)
 
     def squares_at(self, xy: Array) -> NDArray[np.intp]:
-        """Indices (M,) of the squares that contain pixel indices (M, 2). For pixels outside the image, the nearest
-        squares are returned."""
+        """Return the indices (M,) of the squares that contain pixel indices (M, 2), or of the nearest squares for
+        pixels outside the image."""
         row = np.clip((xy[:, 1] + 0.5) / self.side, 0, self.rows - 1).astype(np.intp)
         column = np.clip((xy[:, 0] + 0.5 + self._shift(row)) / self.side, 0, self.columns - 1).astype(np.intp)
         return np.asarray(row * self.columns + column, np.intp)
@@ -169,7 +170,7 @@ class _Squares:
 
 @dataclass(frozen=True, eq=False)
 class _Tiling:
-    """Squares of an image. Squares in which the surface is seen at a grazing angle are divided into parts.
+    """The squares of an image, which are divided into parts where the surface is seen at a grazing angle.
 
     Attributes:
         squares: the tiling with N squares.
@@ -189,7 +190,7 @@ class _Tiling:
 
     @staticmethod
     def of(sloped: _SlopedSurface, side: float) -> _Tiling:
-        """Tile an image with squares whose side is ``side`` pixels."""
+        """Tile an image with squares of side ``side`` pixels."""
         squares = _Squares(side, sloped.surface.camera.width, sloped.surface.camera.height)
         begins, ends = squares.corners()
         parts = _part_counts(sloped, (begins + ends) / 2 - 0.5)
@@ -197,7 +198,7 @@ class _Tiling:
         return _Tiling(squares, begins, ends, parts, np.cumsum(counts) - counts, int(counts.sum()))
 
     def centres(self) -> Array:
-        """Pixel indices (count, 2) of the centres of the parts."""
+        """Compute the pixel indices (count, 2) of the parts' centres."""
         square = np.repeat(np.arange(len(self.parts)), self.parts.prod(axis=1))
         number = np.arange(self.count) - self.first[square]
         position = np.stack([number % self.parts[square, 0], number // self.parts[square, 0]], axis=1) + 0.5
@@ -205,7 +206,7 @@ class _Tiling:
         return np.asarray(self.begins[square] + size * position / self.parts[square] - 0.5)
 
     def parts_at(self, xy: Array) -> NDArray[np.intp]:
-        """Indices (M,) of the parts that contain pixel indices (M, 2)."""
+        """Return the indices (M,) of the parts that contain pixel indices (M, 2)."""
         square = self.squares.squares_at(xy)
         size = np.maximum(self.ends[square] - self.begins[square], np.finfo(float).tiny)
         position = (xy + 0.5 - self.begins[square]) / size * self.parts[square]
@@ -214,7 +215,7 @@ class _Tiling:
 
 
 def _part_counts(sloped: _SlopedSurface, xy: Array) -> NDArray[np.intp]:
-    """Number of parts (M, 2) along x and y, for squares centred on pixel indices (M, 2).
+    """Compute the number of parts (M, 2) along x and y, for squares centred on pixel indices (M, 2).
 
     The number of parts grows with the square root of the surface's slope.
     """
@@ -226,7 +227,7 @@ def _part_counts(sloped: _SlopedSurface, xy: Array) -> NDArray[np.intp]:
 
 
 def _slopes(surface: Surface) -> Array:
-    """Relative change (N, 2) of the inverse depth per pixel along x and y. The change is 0 at depth edges."""
+    """Compute the relative change (N, 2) of the inverse depth per pixel along x and y. It is 0 at depth edges."""
     grid = surface.depths.grid
     inverse = np.maximum(surface.depths.inverse_depth, np.finfo(np.float32).tiny).astype(np.float64)
     slopes = surface.depths.planes[:, :2] / inverse[:, None]
@@ -240,9 +241,10 @@ def _slopes(surface: Surface) -> Array:
 
 
 def _extrapolation_error(inverse: Array, change: Array, axis: int) -> Array:
-    """Relative error (R, C) of the inverse depth that a cell's plane predicts at its neighbours along an axis.
+    """Compute the relative error (R, C) of the inverse depth that a cell's plane predicts at its neighbours along an
+    axis.
 
-    The result is the smaller of the errors at the previous cell and at the next cell.
+    The result is the smaller of the errors at the previous and at the next cell.
     """
     smallest = np.full_like(inverse, np.inf)
     for step in (-1, 1):

@@ -36,8 +36,8 @@ SUFFIXES: dict[Format, str] = {
     "ply": ".ply",
 }
 Y_UP: tuple[Format, ...] = ("spz", "glb", "usd")
-"""File formats in which the up direction is +y. In the other formats of splats, the up direction is -y. The format
-"ply" keeps the axes of the scene."""
+"""File formats in which the up direction is +y. In the other splat formats it is -y, and "ply" keeps the scene's
+axes."""
 MEASURED_VIEWS, MEASURED_FRAMES = 4, 3
 """Maximum numbers of viewpoints and of frames for which the PSNR of an export is measured."""
 
@@ -52,9 +52,9 @@ class ExportSettings:
         frames: 0-based indices of the frames.
         degree: largest degree of the spherical harmonics, 0 to 3. The formats "splat" and "ply" can only store degree
             0.
-        keep_axes: whether the files keep the scene's axes. If false, the scene is rotated to the up direction of the
-            format: +y for the formats in :data:`Y_UP`, and -y for other formats of splats. Scenes in the format "ply"
-            are never rotated.
+        keep_axes: whether the files keep the scene's axes. If false, the scene is rotated to the format's up direction:
+            +y for the formats in :data:`Y_UP`, and -y for the other splat formats. The format "ply" always keeps the
+            axes.
     """
 
     format: Format
@@ -71,9 +71,9 @@ class ExportReport:
         files: the written files, one for each frame. For "usd", the last file is the additional file that plays the
             frames.
         bytes_per_frame: mean size of a frame's file in bytes.
-        psnr: PSNR in dB between renderings with the scene's colours and with the exported colours, averaged over the
-            measured images. Only pixels that show the scene are compared. Both renderings use fourd's points, the
-            capture's cameras and cameras between neighbouring cameras of the capture. None if no image shows a point.
+        psnr: PSNR in dB of renderings with the exported colours against renderings with the scene's colours, averaged
+            over the measured images. Both are rendered by fourd from the capture's cameras and from cameras between
+            neighbouring ones, and compared in the pixels that show the scene. None if no image shows a point.
     """
 
     files: tuple[Path, ...]
@@ -111,8 +111,8 @@ def export_scene(scene: Scene, out: Path, settings: ExportSettings, track: Track
 
 
 def list_files(out: Path, settings: ExportSettings, manifest: SceneManifest) -> list[Path]:
-    """The files of the frames. If ``out`` has the suffix of the format, the only file is ``out``. Without this
-    suffix, ``out`` is a folder, and the files are in ``out``, or in ``out/frames`` for USD.
+    """Return the files of the frames. If ``out`` has the suffix of the format, it is the only file. Otherwise, they are
+    in the folder ``out``, or in ``out/frames`` for USD.
 
     Each file name ends in the frame's number in the capture, so that other programs recognise the sequence.
     """
@@ -149,7 +149,7 @@ def _write_points(path: Path, cloud: SplatCloud) -> None:
 
 
 def _rotation(manifest: SceneManifest, settings: ExportSettings) -> NDArray[np.float64] | None:
-    """The rotation (3, 3) from the scene's axes to the axes of the format, or None if no rotation is needed."""
+    """Return the rotation (3, 3) from the scene's axes to those of the format, or None if no rotation is needed."""
     from scipy.spatial.transform import Rotation
 
     if settings.keep_axes or settings.format == "ply" or not manifest.cameras:
@@ -162,7 +162,7 @@ def _rotation(manifest: SceneManifest, settings: ExportSettings) -> NDArray[np.f
 
 
 class _LossMeter:
-    """Measures the PSNR between a scene and its exported colours, for some frames and viewpoints."""
+    """Measures the PSNR of a scene's exported colours against its own colours, for some frames and viewpoints."""
 
     def __init__(self, manifest: SceneManifest, frames: Sequence[int]) -> None:
         self._manifest = replace(
@@ -185,8 +185,7 @@ class _LossMeter:
         return float(np.mean(self._values)) if self._values else None
 
     def measure(self, scene: Scene, index: int, cloud: SplatCloud) -> None:
-        """Measure frame ``index`` if it belongs to the frames that are measured. ``cloud`` must have the scene's
-        axes."""
+        """Measure frame ``index`` if it is one of the frames to measure. ``cloud`` must have the scene's axes."""
         if index not in self._frames:
             return
         frame = frame_from_splats(cloud)

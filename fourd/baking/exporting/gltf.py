@@ -41,7 +41,7 @@ def write_splat_glb(path: Path, cloud: SplatCloud) -> None:
 
 
 def _columns(cloud: SplatCloud) -> dict[str, NDArray[np.float32]]:
-    """The attributes of the glTF primitive, with the attributes' names as keys."""
+    """Return the attributes of the glTF primitive by name."""
     linear = srgb_to_linear(cloud.base_colour).astype(np.float32)
     columns = {
         "POSITION": cloud.xyz,

@@ -1,7 +1,7 @@
 """Gaussian splats in USD files, with the schema ParticleField3DGaussianSplat of the package usd-core.
 
-Each frame is stored in a separate file. The file ``scene.usda`` plays the frames' files as value clips. One file per
-frame saves memory: neither the writer nor a player of the scene needs to hold all frames in memory.
+Each frame is stored in a separate file, so that neither the writer nor a player needs to hold all frames in memory. The
+file ``scene.usda`` plays these files as value clips.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def _animated(field: Any) -> list[Any]:
 
 
 def _extent(cloud: SplatCloud) -> NDArray[np.float32]:
-    """Lower and upper corner (2, 3) of a box around the splats. The box extends three standard deviations beyond each
+    """Return the lower and upper corner (2, 3) of a box that extends three standard deviations beyond each splat's
     centre."""
     margin = 3 * cloud.scale.max(axis=1, keepdims=True)
     if len(cloud) == 0:

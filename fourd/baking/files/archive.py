@@ -1,7 +1,7 @@
 """The ZIP archive of a `.4dv`: checks of its members, and error messages that say what the user can do.
 
-The archive stores the bytes of members without compression. Members of packed scenes are compressed before they are
-stored. The archive is untrusted input.
+The archive itself is uncompressed; members of packed scenes are compressed before they are stored. The archive is
+untrusted input.
 """
 
 from __future__ import annotations
@@ -64,13 +64,13 @@ def open_zip(path: Location) -> zipfile.ZipFile:
 
 
 def archive_size(archive: zipfile.ZipFile) -> int:
-    """File size, in bytes, of an open archive."""
+    """Return the file size, in bytes, of an open archive."""
     assert archive.fp is not None
     return archive.fp.seek(0, os.SEEK_END)
 
 
 def check_members(path: Location, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
-    """Check the names and sizes of the members, and return the ZIP entries of the members by name. Raises UserError."""
+    """Check the names and sizes of the members, and return their ZIP entries by name. Raises UserError."""
     members: dict[str, zipfile.ZipInfo] = {}
     size, total = archive_size(archive), 0
     for info in archive.infolist():
@@ -113,8 +113,7 @@ def damaged(path: Location, expected: str, got: str) -> UserError:
 
 @contextmanager
 def disk_errors(path: Path) -> Iterator[None]:
-    """Context manager that raises a UserError with ``path`` if the code in the ``with`` block cannot write to the
-    disk."""
+    """Raise a UserError that names ``path`` if the code in the ``with`` block cannot write to the disk."""
     try:
         yield
     except OSError as error:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from fourd.ops.shade.harmonics import SH_TERMS
 
 Tier = Literal["full", "stream", "video", "light"]
-"""Quality of a packed scene. A scene of the tier "full" looks like the unpacked scene. The tier "stream" has coarser
-quantisation steps than "full". The tier "video" stores points like "stream", but stores the colours in the source views
-as images. The tier "light" has no source views: all colours are stored as spherical harmonics."""
+"""Quality of a packed scene. "full" looks like the unpacked scene. "stream" has coarser quantisation steps. "video"
+stores points like "stream", but stores the colours in the source views as images. "light" has no source views and
+stores all colours as spherical harmonics."""
 TIERS: tuple[Tier, ...] = ("full", "stream", "video", "light")
 
 SH_NUMBERS = 3 * SH_TERMS
@@ -24,31 +24,28 @@ MAX_CODE = 255
 
 @dataclass(frozen=True, eq=False)
 class CloudEncoding:
-    """Parameters by which the points of one cloud are quantised. The dynamic points of all frames share one encoding,
-    and the background has a separate encoding.
+    """Quantisation parameters of one cloud of points. The dynamic points of all frames share one encoding; the
+    background has a separate one.
 
     Attributes:
         lower: (3,) float64, smallest coordinates in world units.
         position_step: quantisation step of the coordinates, in world units.
         position_bits: number of bits per coordinate, 1 to 21.
-        radius_lower: radius in world units that code 1 encodes. Code 0 encodes the radius 0.
+        radius_lower: radius of code 1, in world units. Code 0 is the radius 0.
         radius_steps: number of codes for each doubling of the radius.
-        density_levels: code that encodes the density 1, at most 255. Code c encodes the density c / ``density_levels``.
-        sh_basis: (K, 48) float32, orthonormal basis vectors as rows. The spherical-harmonics coefficients of a point
-            are ``sh_mean`` plus a weighted sum of the basis vectors. The weights of the sum are called factors, and
-            the scene stores the factors of each point. The 48 numbers of a row are 16 coefficients for red, then 16 for
-            green, then 16 for blue.
+        density_levels: code of the density 1, at most 255. Code c is the density c / ``density_levels``.
+        sh_basis: (K, 48) float32, orthonormal basis vectors as rows, each with 16 coefficients for red, then 16 for
+            green, then 16 for blue. The spherical-harmonics coefficients of a point are ``sh_mean`` plus a weighted sum
+            of the basis vectors, whose weights, called factors, are stored for each point.
         sh_mean: (48,) float32, mean of the coefficients.
         sh_step: quantisation step of the factors.
-        weight_steps: number of codes for each halving of the blend weight. Code 1 is the largest blend weight of the
-            point, larger codes are smaller weights, and code 0 is the weight 0.
-        colour_step: quantisation step of the colours in the source views, in units of 1/255. The step is at most
-            MAX_COLOUR_STEP.
-        every_point_has_colours: whether colours are stored for all source views of each point. If false, colours are
-            stored only for the views in which the point's blend weight is above 0. In views without a stored colour, a
-            point gets its mean colour.
+        weight_steps: number of codes for each halving of the blend weight. Code 1 is the point's largest blend weight,
+            larger codes are smaller weights, and code 0 is the weight 0.
+        colour_step: quantisation step of the colours in the source views, in units of 1/255, at most MAX_COLOUR_STEP.
+        every_point_has_colours: whether a point's colours are stored for all source views. If false, they are stored
+            only for the views in which its blend weight is above 0; in the other views, the point has its mean colour.
         image_scale: texels per pixel of the source cameras, if the colours in the source views are stored as images
-            (:mod:`fourd.baking.packed.images`). None if the colours in the source views are stored for each point.
+            (:mod:`fourd.baking.packed.images`). None if they are stored for each point.
     """
 
     lower: NDArray[np.float64]

@@ -14,11 +14,11 @@ Option = TypeVar("Option", bound=str)
 
 
 class ManifestError(ValueError):
-    """Error that is raised for an invalid manifest. The message has the form "where: expected ..., got ..."."""
+    """Raised for an invalid manifest. The message has the form "where: expected ..., got ..."."""
 
 
 class JsonNode:
-    """A JSON object, with its path inside the manifest for error messages."""
+    """Wraps a JSON object and records its path inside the manifest, which error messages name."""
 
     def __init__(self, content: object, where: str) -> None:
         if not isinstance(content, dict):
@@ -50,7 +50,7 @@ class JsonNode:
         return value
 
     def choice(self, key: str, options: Sequence[Option]) -> Option:
-        """The text value of a key. The value must be one of ``options``."""
+        """Return the text value of a key, which must be one of ``options``."""
         text = self.text(key)
         for option in options:
             if text == option:
@@ -85,7 +85,7 @@ class JsonNode:
         return found
 
     def array(self, key: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
-        """The numbers of a flat list as an array of the given shape."""
+        """Return the numbers of a flat list as an array of the given shape."""
         return np.array(self.numbers(key, math.prod(shape)), np.float64).reshape(shape)
 
     def triple(self, key: str) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""Drawing of triangle meshes as pictures, and as the visible surface that styles need."""
+"""Drawing of triangle meshes as images, and as the visible surface (depths and normals) that styles need."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SAMPLES = 3
 """Samples per pixel along each axis."""
 _MAP_COLUMNS = 1024
 _NEAR_SHARE = 1e-4
-"""Minimum depth of the near plane, as a share of the depth of the far plane."""
+"""Minimum depth of the near plane, as a fraction of the far plane's depth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,15 +42,15 @@ class GeometryBuffer:
 
     @property
     def alpha(self) -> NDArray[np.float32]:
-        """(H, W) float32 share of each pixel that the mesh covers, in [0, 1]."""
+        """(H, W) float32 fraction of each pixel that the mesh covers, in [0, 1]."""
         return self.hits / np.float32(self.samples)
 
     def picture(self, background: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The image (H, W, 3) float32 in [0, 1] of the mesh in front of a background colour (3,)."""
+        """Return the image (H, W, 3) float32 in [0, 1] of the mesh in front of a background colour (3,)."""
         return self.rgb / np.float32(self.samples) + (1 - self.alpha)[..., None] * background
 
     def surface(self) -> Surface:
-        """The input of the stylizer."""
+        """Return the buffer in the form that the stylizer needs."""
         alpha, hits = self.alpha, np.maximum(self.hits, 1)
         coverage = np.clip(3 * alpha - 0.5, 0, 1)
         depth = self.depth / hits
@@ -87,8 +87,8 @@ def draw_mesh(mesh: Mesh, camera: Camera, *, samples: int = SAMPLES, threads: in
 
 
 def _box(xyz: NDArray[np.float32], camera: Camera) -> tuple[int, int, int, int]:
-    """Left, top, width and height, in pixels, of a box that contains the mesh in the image. The box has at least one
-    pixel. If the mesh extends behind the camera, the box is the whole image."""
+    """Return left, top, width and height, in pixels, of an image region that contains the mesh. It has at least one
+    pixel. If the mesh extends behind the camera, it is the whole image."""
     pixels, depth = camera.project(xyz)
     if depth.min() <= 0:
         return 0, 0, camera.width, camera.height
@@ -99,7 +99,8 @@ def _box(xyz: NDArray[np.float32], camera: Camera) -> tuple[int, int, int, int]:
 
 
 def _attributes(mesh: Mesh, camera: Camera) -> NDArray[np.float32]:
-    """Depth, normal in the camera's frame, and texture coordinates or colour of each vertex, (V, 6 or 7)."""
+    """Return each vertex's depth, its normal in the camera's frame, and its texture coordinates or colour, (V, 6 or
+    7)."""
     assert mesh.normals is not None
     depth = mesh.xyz @ camera.rotation[2] + camera.translation[2]
     if mesh.uv is not None:
@@ -111,8 +112,8 @@ def _attributes(mesh: Mesh, camera: Camera) -> NDArray[np.float32]:
 
 
 def _sample_cameras(camera: Camera, samples: int) -> Iterator[Camera]:
-    """Yield one camera per sample position within a pixel. The camera's principal point is shifted such that the
-    camera's pixel centres lie at this sample position."""
+    """Yield one camera per sample position within a pixel. Its principal point is shifted such that its pixel centres
+    lie at the sample position."""
     offsets = (np.arange(samples) + 0.5) / samples - 0.5
     for down in offsets:
         for right in offsets:
@@ -122,8 +123,8 @@ def _sample_cameras(camera: Camera, samples: int) -> Iterator[Camera]:
 
 
 def _clip(xyz: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Clip coordinates (V, 4). The far plane is farther than all vertices. The near plane is nearer than all vertices
-    in front of the camera, but its depth is at least ``_NEAR_SHARE`` times the depth of the far plane."""
+    """Return clip coordinates (V, 4). The far plane lies behind all vertices. The near plane lies before all vertices
+    in front of the camera, but at no less than ``_NEAR_SHARE`` times the far plane's depth."""
     points = xyz.astype(np.float64) @ camera.rotation.T + camera.translation
     depth = points[:, 2]
     in_front = depth[depth > 0]
@@ -136,7 +137,7 @@ def _clip(xyz: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
 
 
 def _towards_camera(normal: NDArray[np.float32], camera: Camera, seen: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Unit normals (P, 3) of the pixels ``seen``, reversed where the camera sees the back of a triangle."""
+    """Return the unit normals (P, 3) of the pixels ``seen``, reversed where the camera sees the back of a triangle."""
     row, column = np.nonzero(seen)
     inverse = np.linalg.inv(camera.intrinsics).astype(np.float32)
     position = np.stack([column + np.float32(0.5), row + np.float32(0.5), np.ones(len(row), np.float32)], 1)
@@ -146,12 +147,12 @@ def _towards_camera(normal: NDArray[np.float32], camera: Camera, seen: NDArray[n
 
 
 def _colours(mesh: Mesh, values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Colours (P, 3) in [0, 1]. ``values`` are texture coordinates (P, 2) if the mesh has a texture, or else the
+    """Return colours (P, 3) in [0, 1]. ``values`` are texture coordinates (P, 2) if the mesh has a texture, or else the
     interpolated colours (P, 3)."""
     if mesh.texture is None:
         return values
     height, width = mesh.texture.shape[:2]
-    # cv2.remap needs coordinate arrays with sides below 32768, so the list of positions is arranged in rows.
+    # The list of positions is arranged in rows, because cv2.remap needs coordinate arrays with sides below 32768.
     padded = np.zeros((2, max(-(-len(values) // _MAP_COLUMNS), 1), _MAP_COLUMNS), np.float32)
     padded.reshape(2, -1)[:, : len(values)] = values.T * np.array([[width], [height]], np.float32) - np.float32(0.5)
     colours = cv2.remap(mesh.texture, padded[0], padded[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

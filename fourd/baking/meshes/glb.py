@@ -63,7 +63,7 @@ def _read_parts(path: Path) -> tuple[dict[str, Any], bytes]:
 
 
 class _Accessors:
-    """Reads arrays from the binary part of the file, and checks that the arrays lie inside this part."""
+    """Reads arrays from the binary part of the file, and checks that they lie inside it."""
 
     def __init__(self, document: dict[str, Any], binary: bytes) -> None:
         self.document = document
@@ -77,7 +77,7 @@ class _Accessors:
         return self._binary[start : start + length]
 
     def array(self, index: int, columns: int) -> NDArray[Any]:
-        """The array (N, columns) of an accessor. Normalised integers become floats in [0, 1]."""
+        """Return the array (N, columns) of an accessor. Normalised integers become floats in [0, 1]."""
         accessor = self.document["accessors"][_whole(index)]
         kind, given = np.dtype(_TYPES[accessor["componentType"]]), _COLUMNS[accessor["type"]]
         if (
@@ -133,14 +133,14 @@ def _texture(accessors: _Accessors) -> NDArray[np.uint8]:
 
 
 def _colours(linear: NDArray[Any]) -> NDArray[np.uint8]:
-    """sRGB bytes of linear vertex colours in [0, 1] (IEC 61966-2-1)."""
+    """Convert linear vertex colours in [0, 1] to sRGB bytes (IEC 61966-2-1)."""
     values = np.clip(linear.astype(np.float64), 0, 1)
     srgb = np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** (1 / 2.4) - 0.055)
     return np.rint(255 * srgb).astype(np.uint8)
 
 
 def _up(document: dict[str, Any]) -> NDArray[np.float64]:
-    """The direction, in vertex coordinates, that the root node rotates to +y."""
+    """Return the direction, in vertex coordinates, that the root node rotates to +y."""
     root = document["nodes"][_whole(document["scenes"][0]["nodes"][0])]
     for node in document["nodes"]:
         if {"matrix", "scale", "translation"} & set(node):

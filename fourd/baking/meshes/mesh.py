@@ -63,7 +63,7 @@ class Mesh:
 
 
 def _mean_normals(mesh: Mesh) -> NDArray[np.float32]:
-    """Normals of vertices, weighted by the areas of the triangles."""
+    """Return the vertex normals: the mean normals of the adjacent triangles, weighted by area."""
     a, b, c = (mesh.xyz[mesh.triangles[:, corner]].astype(np.float64) for corner in range(3))
     faces = np.cross(b - a, c - a)
     total = np.zeros((len(mesh.xyz), 3))

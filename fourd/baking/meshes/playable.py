@@ -21,11 +21,12 @@ from fourd.stylize.tables import make_table
 
 
 class PlayableMeshes:
-    """One mesh, or a sequence of meshes, with one ring of cameras. The ring surrounds the common bounding box of the
-    first, middle and last mesh.
+    """One mesh, or a sequence of meshes, and a ring of cameras around the common bounding box of the first, middle and
+    last mesh.
 
     The class implements :class:`fourd.baking.playable.Playable`. While the camera does not move, lines fade in and have
-    a hysteresis, as in :class:`fourd.baking.styled.player.StyledPlayer`. Depths and normals are not averaged over time.
+    a hysteresis, as in :class:`fourd.baking.styled.player.StyledPlayer`, but depths and normals are not averaged over
+    time.
 
     Args:
         path: a GLB or PLY file, or a folder with one file for each frame.
@@ -59,7 +60,7 @@ class PlayableMeshes:
     def render(
         self, camera: Camera, frame: int, layers: int | None, background: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Render a frame: RGB (H, W, 3) float32 in [0, 1]. ``layers`` has no effect, because meshes are opaque."""
+        """Render a frame as RGB (H, W, 3) float32 in [0, 1]. ``layers`` has no effect, because meshes are opaque."""
         buffer = draw_mesh(self._read(frame), camera)
         if self._style is None or self._table is None:
             return np.clip(buffer.picture(background), 0, 1).astype(np.float32)

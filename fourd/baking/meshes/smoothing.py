@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from fourd.baking.meshes.mesh import Mesh
 
 ROUNDS = 8
-"""Number of smoothing rounds. Each round replaces a normal by the mean of the normals around it. Eight rounds average
-over about the same surface area as the three rounds of :mod:`fourd.stylize.normals`."""
+"""Number of smoothing rounds, each of which replaces a normal by the mean of the normals around it. Eight rounds
+average over about the same surface area as the three rounds of :mod:`fourd.stylize.normals`."""
 
 
 def smooth_normals(mesh: Mesh, rounds: int = ROUNDS) -> Mesh:
@@ -36,6 +36,6 @@ def smooth_normals(mesh: Mesh, rounds: int = ROUNDS) -> Mesh:
 
 
 def _edges(triangles: NDArray[np.integer]) -> NDArray[np.integer]:
-    """The directed edges (E, 2) of triangles in both directions, without duplicates."""
+    """Return the edges (E, 2) of the triangles, each in both directions, without duplicates."""
     sides = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     return np.unique(np.concatenate([sides, sides[:, ::-1]]), axis=0)

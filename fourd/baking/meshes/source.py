@@ -12,13 +12,13 @@ from fourd.errors import UserError
 from fourd.formats.ply import read_header
 
 ANIMATION_NAME = "animation.glb"
-"""Name of the file in which `fourd mesh` writes all frames as an animation. The folder also contains one file for each
-frame."""
+"""Name of the file that contains all frames as an animation. `fourd mesh` writes it beside the files of the single
+frames."""
 
 
 def is_mesh(path: Path) -> bool:
-    """Whether a path names a GLB file, a PLY file with triangles, or a folder that contains such files and is not a
-    run.
+    """Return whether a path names a GLB file, a PLY file with triangles, or a folder that contains such files and is
+    not a run.
 
     Raises UserError if a PLY file has no valid header.
     """
@@ -30,7 +30,7 @@ def is_mesh(path: Path) -> bool:
 
 
 class MeshSource:
-    """Reads meshes. Each call reads the requested frame from its file.
+    """Reads the meshes of frames. Each call reads the requested frame from its file.
 
     Args:
         path: a file, or a folder with one file for each frame.
@@ -53,7 +53,7 @@ class MeshSource:
 
 
 def _list_files(folder: Path) -> list[Path]:
-    """The files of meshes in a folder in the order of their frames. GLB files have priority over PLY files."""
+    """Return a folder's mesh files in the order of their frames: the GLB files, or the PLY files if there are none."""
     files = [file for file in folder.iterdir() if file.is_file() and file.name != ANIMATION_NAME]
     for suffix in (".glb", ".ply"):
         found = [file for file in files if file.suffix.lower() == suffix]

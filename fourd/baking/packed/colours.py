@@ -11,9 +11,9 @@ from fourd.baking.scene import BakedFrame
 
 
 def mean_colours(frame: BakedFrame) -> NDArray[np.uint8]:
-    """Return the mean colours (N, 3) over the source views, weighted by the blend weights.
+    """Return the mean colours (N, 3) of the points over the source views, weighted by the blend weights.
 
-    For a point whose blend weights are all 0, the colour is the mean over all source views with equal weights.
+    If all blend weights of a point are 0, all source views have equal weights.
     """
     weights = frame.blend_weights.astype(np.float32)
     weights[~weights.any(axis=1)] = 1
@@ -22,10 +22,11 @@ def mean_colours(frame: BakedFrame) -> NDArray[np.uint8]:
 
 
 def fill_unseen_colours(frame: BakedFrame) -> BakedFrame:
-    """Return the frame with new colours: each point has its mean colour in all views in which its blend weight is 0.
+    """Return the frame with each point's colour replaced by its mean colour in the views in which its blend weight is
+    0.
 
-    A view with a blend weight of 0 does not see the point. The stored colour in this view belongs to another surface.
-    Shading uses this stored colour only if the blend weights of the point in all selected views are 0.
+    Such a view does not see the point, so the stored colour belongs to another surface. Shading uses it only if the
+    point's blend weights in all selected views are 0.
     """
     if frame.view_count == 0:
         return frame
@@ -34,6 +35,5 @@ def fill_unseen_colours(frame: BakedFrame) -> BakedFrame:
 
 
 def has_own_unseen_colours(frame: BakedFrame) -> bool:
-    """Return whether the colour of any point, in any view in which the point's blend weight is 0, differs from the
-    point's mean colour."""
+    """Return True if the colour of any point differs from its mean colour in a view in which its blend weight is 0."""
     return frame.view_count > 0 and not np.array_equal(fill_unseen_colours(frame).rgb, frame.rgb)

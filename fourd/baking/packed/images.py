@@ -1,13 +1,12 @@
 """Images of source views in packed scenes of the tier "video": still images in VP9, from which colours are sampled.
 
-The image of a source view shows how the colours of points in this view differ from the mean colours of the points. A
-point's colour in the view is its mean colour plus the difference at the projection of the point.
+The image of a source view stores how the points' colours in this view differ from their mean colours. A point's colour
+in the view is its mean colour plus the difference at its projection.
 
-An image is stored as a header and a key frame of VP9 (profile 0, 8 bits, 4:2:0). The texels form a grid over the
-camera's picture. With the ``image_scale`` s of the encoding, texel (i, j) covers the square from (i, j) / s to (i + 1,
-j + 1) / s in pixels. The image contains only the part of the grid around the projections of the points that the view
-sees. In the planes of an image, the value 128 encodes the difference 0. The conversion to red, green and blue is that
-of JFIF (BT.601, full range).
+An image is stored as a header and a key frame of VP9 (profile 0, 8 bits, 4:2:0). The texels form a grid over the camera
+image: if s is the encoding's ``image_scale``, texel (i, j) covers the square from (i, j) / s to (i + 1, j + 1) / s in
+pixels. Only the region of the grid around the projections of the points that the view sees is stored. In the planes,
+the value 128 encodes the difference 0. The conversion to red, green and blue is that of JFIF (BT.601, full range).
 """
 
 from __future__ import annotations
@@ -37,11 +36,11 @@ MAX_SIDE = 1 << 14
 """Largest width and height of an image in texels."""
 _NEAR, _HALF = np.float32(1e-6), np.float32(0.5)
 _FRAME_BYTES_PER_TEXEL = 2
-"""Maximum size, in bytes per texel, of a stored image. Even lossless VP9 frames are smaller."""
+"""Maximum size of a stored image in bytes per texel, which exceeds that of lossless VP9 frames."""
 _SMALLEST_FRAME = 1024
 _KEY_FRAME = b"\x82", b"\x83"
-"""The valid first bytes of a visible VP9 key frame of profile 0 (VP9 specification, 6.2). The first value is without
-error resilience, the second with error resilience."""
+"""The valid first bytes of a visible VP9 key frame of profile 0, without and with error resilience (VP9 specification,
+6.2)."""
 _SYNC_CODE = b"\x49\x83\x42"
 _RGB_SPACE = 7
 
@@ -51,7 +50,7 @@ class ViewImage:
     """A decoded image.
 
     Attributes:
-        left, top: texel of the camera's grid at which the image starts.
+        left, top: position of the image's first texel in the camera's grid.
         planes: Y (H, W), Cb and Cr (ceil(H / 2), ceil(W / 2)), all uint8.
     """
 
@@ -61,7 +60,7 @@ class ViewImage:
 
 
 def load_av() -> ModuleType:
-    """Import PyAV, which takes time. Raises UserError if PyAV is not installed."""
+    """Import PyAV, which is slow, and return it. Raises UserError if PyAV is not installed."""
     try:
         import av
     except ImportError as error:
@@ -78,7 +77,7 @@ def grid_size(camera: Camera, scale: float) -> tuple[int, int]:
 
 
 def largest_image(camera: Camera, scale: float) -> int:
-    """Return the largest size in bytes of a stored image of this camera."""
+    """Return the maximum size, in bytes, of a stored image of this camera."""
     width, height = grid_size(camera, scale)
     return HEADER.size + _SMALLEST_FRAME + _FRAME_BYTES_PER_TEXEL * width * height
 
@@ -89,7 +88,7 @@ def project(xyz: NDArray[np.float32], camera: Camera, scale: float) -> tuple[Flo
     The centre of texel (i, j) is at (i + 1/2, j + 1/2).
     """
     matrix, offset = camera.intrinsics @ camera.rotation, camera.intrinsics @ camera.translation
-    # Float32 products are several times faster than float64 products, and their errors are below 1/1000 texel.
+    # float32 products are used because they are several times faster than float64, with errors below 1/1000 texel.
     with np.errstate(all="ignore"):  # Positions in damaged files can be infinite.
         local = xyz @ matrix.T.astype(np.float32) + offset.astype(np.float32)
         factor = np.float32(scale) / np.maximum(local[:, 2], _NEAR)
@@ -97,9 +96,7 @@ def project(xyz: NDArray[np.float32], camera: Camera, scale: float) -> tuple[Flo
 
 
 def decode_image(content: bytes, camera: Camera, scale: float) -> ViewImage:
-    """Decode a stored image.
-
-    All sizes are checked before the image is decoded.
+    """Decode a stored image, after all sizes are checked.
 
     Raises:
         StreamError: if the image is damaged. The message has the form "expected ..., got ...".
@@ -126,10 +123,10 @@ def decode_image(content: bytes, camera: Camera, scale: float) -> ViewImage:
 
 
 def sample_differences(image: ViewImage, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the differences from the mean colours, in red, green and blue (N,), at the positions x (N,) and y (N,) of
-    the grid.
+    """Return the differences from the mean colours in red, green and blue, each (N,), at the grid positions x (N,) and
+    y (N,).
 
-    The planes are sampled bilinearly. Positions beyond the border of a plane get the value of the nearest border texel.
+    The planes are sampled bilinearly, and positions beyond a border are clamped to it.
     """
     x, y = x - np.float32(image.left), y - np.float32(image.top)
     (luma,) = bilinear(image.planes[:1], x, y)
@@ -139,12 +136,11 @@ def sample_differences(image: ViewImage, x: Floats, y: Floats) -> tuple[Floats, 
 
 
 def bilinear(planes: Sequence[NDArray[Any]], x: Floats, y: Floats) -> list[Floats]:
-    """Sample planes (H, W) of one size at the positions x (N,) and y (N,). Texel centres are at half-integers.
-
-    NaN positions are sampled at a border.
+    """Sample planes (H, W) of equal size bilinearly at the positions x (N,) and y (N,), with texel centres at
+    half-integers. NaN positions are sampled at a border.
     """
     height, width = planes[0].shape
-    # Both maxima are 0 for NaN, because fmax ignores NaN.
+    # fmax ignores NaN, so NaN positions become 0.
     x = np.minimum(np.fmax(x - np.float32(0.5), 0), width - 1)
     y = np.minimum(np.fmax(y - np.float32(0.5), 0), height - 1)
     left, top = x.astype(np.intp), y.astype(np.intp)
@@ -176,7 +172,7 @@ def _frame_size(frame: bytes) -> tuple[int, int]:
 
 
 def _is_superframe(frame: bytes) -> bool:
-    """Whether a packet ends with the index of a superframe (VP9 specification, annex B)."""
+    """Return True if a packet ends with a superframe index (VP9 specification, annex B)."""
     last = frame[-1]
     if last & 0xE0 != 0xC0:
         return False

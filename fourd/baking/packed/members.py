@@ -1,17 +1,18 @@
-"""Encoding and decoding of one cloud of points, whose members are in a frame's folder or in the background's folder.
+"""Encoding and decoding of one cloud of points, whose members (files inside the ZIP) are in the folder of a frame or of
+the background.
 
 The cloud has N points in Morton order. All arithmetic on colours is modulo 256. The cloud has these members:
 
-- ``points``: differences of successive Morton codes as byte planes (the lowest byte of all values, then the next byte
-  of all values, and so on), then radius codes (two byte planes), then density codes.
+- ``points``: differences of successive Morton codes as byte planes (the lowest bytes of all values, then the next
+  bytes, and so on), then radius codes (two byte planes), then density codes.
 - ``sh``: zigzag-coded int16 factors (K, N), which are the weights of the K rows of ``sh_basis`` in units of
-  ``sh_step``: first the low bytes of all factors, then the high bytes of all factors.
+  ``sh_step``: first all low bytes, then all high bytes.
 - ``colour``: mean colour of each point over the source views, as three planes: green, red - green and blue - green.
   Each plane stores the differences between successive points.
-- ``views/VVV``: codes of the blend weights of source view V, then the colours of the points. A colour is stored as the
-  difference from the point's mean colour, in quantisation steps. The colours are three planes: green, red - green and
-  blue - green. If ``every_point_has_colours`` is False, no colour is stored for points whose weight code is 0. If the
-  encoding has an ``image_scale``, an image follows the codes instead of colours (:mod:`fourd.baking.packed.images`).
+- ``views/VVV``: codes of the blend weights of source view V, then the colours as differences from the points' mean
+  colours, in quantisation steps and in three planes: green, red - green and blue - green. If
+  ``every_point_has_colours`` is False, no colour is stored for points whose weight code is 0. If the encoding has an
+  ``image_scale``, an image follows the codes instead of colours (:mod:`fourd.baking.packed.images`).
 """
 
 from __future__ import annotations
@@ -35,24 +36,23 @@ from fourd.ops.unpack.op import unpack_harmonics, unpack_positions, unpack_views
 
 POINTS, SH, COLOUR = "points", "sh", "colour"
 LARGEST_WEIGHT = 1024.0
-"""Decoded value of the largest blend weight of each point. The value is so large that decoded weights down to 2^-24
-times the largest weight are normal float16 numbers."""
+"""Decoded value of each point's largest blend weight. It is so large that decoded weights down to 2^-24 times the
+largest one are normal float16 numbers."""
 _MAX_RADIUS_CODE = 2**16 - 1
 _MAX_LEVEL = 127
-"""Largest difference between a colour of a point and the point's mean colour, in quantisation steps. The difference is
-stored as a signed byte."""
+"""Maximum difference between a point's colour and its mean colour, in quantisation steps. The difference is stored as a
+signed byte."""
 
 
 @dataclass(frozen=True)
 class ColourRounding:
-    """Rounding of colours by the writer, in addition to the ``colour_step`` of the encoding. Readers do not need these
-    settings.
+    """How the writer rounds colours, in addition to the encoding's ``colour_step``. Readers do not need these settings.
 
     Attributes:
         mean_step: mean colours are rounded to multiples of this number, in units of 1/255.
-        unseen_step: if the blend weight of a point in a view is 0, the difference between the point's colour in this
-            view and the point's mean colour is rounded to a multiple of this number, in units of 1/255. The number is a
-            multiple of the encoding's ``colour_step``.
+        unseen_step: in views in which a point's blend weight is 0, the difference between its colour and its mean
+            colour is rounded to a multiple of this number, in units of 1/255. The number is a multiple of the
+            encoding's ``colour_step``.
     """
 
     mean_step: int
@@ -65,8 +65,7 @@ def view_member(view: int) -> str:
 
 
 def optional_member(attribute: str) -> str:
-    """Return the name of the member that stores an optional attribute. The content of this member is compressed
-    without quantisation."""
+    """Return the name of the member that stores an optional attribute, without quantisation."""
     return f"optional/{attribute}"
 
 
@@ -84,8 +83,8 @@ def morton_sorted(frame: BakedFrame, encoding: CloudEncoding) -> NDArray[np.int6
 def encode_cloud(frame: BakedFrame, encoding: CloudEncoding, rounding: ColourRounding) -> dict[str, bytes]:
     """Return the uncompressed content of each member. The points must be in the order of :func:`morton_sorted`.
 
-    If the encoding has an ``image_scale``, the members of the views contain only the codes of the blend weights. The
-    caller then appends the images.
+    If the encoding has an ``image_scale``, the members of the views contain only the codes of the blend weights, and
+    the caller appends the images.
     """
     members = {POINTS: _encode_points(frame, encoding), SH: _encode_sh(frame.sh, encoding)}
     if frame.view_count:
@@ -120,7 +119,7 @@ def decode_cloud(
         UserError: if the cloud has images, and PyAV is not installed.
     """
     views = len(cameras)
-    # Memory for the results is allocated after all sizes are checked, because the number of points is untrusted.
+    # The number of points is untrusted, so memory for the results is allocated only after all sizes are checked.
     arrays = _decode_points(members[POINTS], points, encoding)
     factors = decompress_exactly(members[SH], 2 * len(encoding.sh_basis) * points)
     mean = _decode_mean(members[COLOUR], points) if views else np.zeros((points, 3), np.uint8)
@@ -152,8 +151,8 @@ def _allocate(points: int, views: int) -> tuple[NDArray[np.float16], NDArray[np.
     """Allocate one memory block for the harmonics (N, 48), the blend weights (N, V) and the colours (N, V, 3), and
     return the three arrays.
 
-    The system allocates large pages for arrays of 4 MB or more. Decoding 40,000 points with 17 views is about 2 ms
-    faster with large pages.
+    One large block gets huge pages, which the system uses for arrays of 4 MB or more. They make the decoding of 40,000
+    points with 17 views about 2 ms faster.
     """
     sh, weights = 2 * SH_NUMBERS * points, 2 * views * points
     memory = np.empty(sh + weights + 3 * views * points, np.uint8)
@@ -195,7 +194,7 @@ def _decode_points(member: bytes, points: int, encoding: CloudEncoding) -> dict[
     content = decompress_exactly(member, size)
     code_end, radius_end = points * encoding.code_bytes, points * (encoding.code_bytes + 2)
     radius_codes = join_planes(content[code_end:radius_end], 2, np.uint16).astype(np.float32)
-    # A radius that overflows is infinite, and the reader refuses infinite radii.
+    # Overflow is allowed, because it gives an infinite radius, which the reader refuses.
     with np.errstate(over="ignore"):
         radius = np.exp2((radius_codes - 1) / encoding.radius_steps) * np.float32(encoding.radius_lower)
         halves = np.where(radius_codes > 0, radius, 0).astype(np.float16)
@@ -233,7 +232,7 @@ def _encode_weights(weights: NDArray[np.float16], encoding: CloudEncoding) -> ND
 
 
 def _decode_view(member: bytes, points: int, encoding: CloudEncoding) -> NDArray[np.uint8]:
-    """Decompress a view's member (a file inside the ZIP), and check the size of the content."""
+    """Decompress the member of a view, and check the size of the content."""
     content = decompress(member, 4 * points)
     colours = points if encoding.every_point_has_colours else int(np.count_nonzero(content[:points]))
     if len(content) != points + 3 * colours:
@@ -244,8 +243,8 @@ def _decode_view(member: bytes, points: int, encoding: CloudEncoding) -> NDArray
 def _sample_view(
     member: bytes, xyz: NDArray[np.float32], mean: NDArray[np.uint8], camera: Camera, scale: float
 ) -> NDArray[np.uint8]:
-    """Return the content of a view's member, with the image replaced by the colours that the points have in the image.
-    These colours are stored with the colour step 1.
+    """Return the content of a view's member, with the image replaced by the colours that the points have in it, stored
+    with a colour step of 1.
 
     ``mean`` has the mean colours as planes (3, N).
     """
@@ -267,8 +266,8 @@ def _rounded_sum(colours: NDArray[np.uint8], differences: NDArray[np.float32]) -
 def _colour_levels(
     rgb: NDArray[np.uint8], mean: NDArray[np.uint8], steps: NDArray[np.int64], unit: int
 ) -> NDArray[np.uint8]:
-    """Return the differences (N, 3) of colours from mean colours, as multiples of ``unit``. The differences are rounded
-    to multiples of ``steps`` (N, 1)."""
+    """Return the differences (N, 3) of colours from mean colours in units of ``unit``, rounded to multiples of
+    ``steps`` (N, 1)."""
     levels = np.rint((rgb.astype(np.int16) - mean.astype(np.int16)) / steps) * (steps // unit)
     return np.clip(levels, -_MAX_LEVEL, _MAX_LEVEL).astype(np.int16).astype(np.uint8)
 

@@ -15,7 +15,7 @@ def encode_positions(xyz: NDArray[np.float32], encoding: CloudEncoding) -> NDArr
 
 
 def rounded_positions(xyz: NDArray[np.float32], encoding: CloudEncoding) -> NDArray[np.float32]:
-    """Return the positions (N, 3) that readers decode after ``xyz`` (N, 3) was encoded."""
+    """Return the positions (N, 3) that readers decode for ``xyz`` (N, 3)."""
     return (encoding.lower + _cells(xyz, encoding) * encoding.position_step).astype(np.float32)
 
 

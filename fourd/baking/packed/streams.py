@@ -1,6 +1,7 @@
 """Members of a packed scene: byte planes compressed with Zstandard (RFC 8878) or zlib (RFC 1950).
 
-Web browsers decompress zlib, but not Zstandard. The first bytes of a member show which compression was used.
+zlib is for web browsers, which cannot decompress Zstandard. The first bytes of a member show which compression was
+used.
 """
 
 from __future__ import annotations
@@ -16,19 +17,19 @@ Compression = Literal["zstd", "zlib"]
 """Compression format of the members of a file."""
 
 LEVEL, ZLIB_LEVEL = 19, 9
-"""Compression levels of Zstandard and zlib. The level has little effect on the time of decompression."""
+"""Compression levels of Zstandard and zlib. They are high because they have little effect on the decompression time."""
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 MAX_RATIO = 1024
-"""Maximum ratio of the content of a member to its compressed bytes. Real points have a far smaller ratio. Without a
-maximum, a small file whose members are all zeros would take gigabytes of memory."""
+"""Maximum compression ratio of a member, far above that of real points. Without a limit, a small file whose members are
+all zeros would take gigabytes of memory."""
 SMALL_BYTES = 1 << 24
 """Maximum size in bytes of contents whose compression ratio is not limited."""
 
 
 class StreamError(ValueError):
-    """A damaged member. The message has the form "expected ..., got ..."."""
+    """Raised for a damaged member. The message has the form "expected ..., got ..."."""
 
 
 def compress(content: bytes, compression: Compression = "zstd") -> bytes:
@@ -39,16 +40,16 @@ def compress(content: bytes, compression: Compression = "zstd") -> bytes:
 
 
 def stored(content: bytes) -> bytes:
-    """Compress a member's content fast, with little reduction in size. This function serves checks that encode and
-    decode members in memory."""
+    """Compress a member's content fast, with little reduction in size, for checks that encode and decode members in
+    memory."""
     return zstandard.ZstdCompressor(level=-5, write_content_size=True).compress(content)
 
 
 def decompress(member: bytes, largest: int) -> NDArray[np.uint8]:
     """Return the content of a member as bytes (N,).
 
-    At most ``largest`` bytes are decompressed. The size that is declared in a Zstandard member is checked before memory
-    is allocated.
+    At most ``largest`` bytes are decompressed. A Zstandard member declares its size, which is checked before memory is
+    allocated.
 
     Raises:
         StreamError: if the member is damaged, declares no size or has more than ``largest`` bytes.
@@ -101,7 +102,8 @@ def split_planes(values: NDArray[np.unsignedinteger], planes: int) -> bytes:
 def join_planes(
     content: NDArray[np.uint8], planes: int, dtype: type[np.unsignedinteger]
 ) -> NDArray[np.unsignedinteger]:
-    """Inverse of :func:`split_planes`: return the values. ``content`` contains ``planes`` bytes for each value."""
+    """Return the values from which :func:`split_planes` made ``content``, which contains ``planes`` bytes for each
+    value."""
     rows = content.reshape(planes, -1)
     values = rows[0].astype(dtype)
     for plane in range(1, planes):

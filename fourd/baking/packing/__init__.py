@@ -1,2 +1,2 @@
-"""Writing of packed scenes, whose frames are quantised and compressed. Each frame can be decoded without the other
-frames."""
+"""Writing of packed scenes, whose frames are quantised and compressed such that each can be decoded without the
+others."""

@@ -20,10 +20,10 @@ HALF_PRECISION = 2.0**-11
 
 @dataclass(frozen=True)
 class ColourErrors:
-    """Errors of the colours in the source views: the weighted sum of squared errors, and the sum of the weights.
+    """Accumulates the squared errors of the colours in the source views: their weighted sum, and the sum of the
+    weights.
 
-    The weight of a point in a view is the point's blend weight in this view, divided by its largest blend weight in any
-    view.
+    The weight of a point in a view is its blend weight in this view, divided by its largest blend weight in any view.
     """
 
     squares: float = 0.0
@@ -47,8 +47,8 @@ def check_bounds(
 ) -> ColourErrors:
     """Decode ``members`` and compare the result with ``cloud``, whose points are in the same order.
 
-    Errors of colours that are stored as images have no bound, because the images are compressed with loss. ``cameras``
-    are the cameras of the source views. Returns the errors of the colours.
+    ``cameras`` are the cameras of the source views. Returns the errors of the colours. They have no bound if the
+    colours are stored as images, because image compression is lossy.
 
     Raises:
         RuntimeError: if an error exceeds the bound that follows from the encoding's quantisation steps. The error
@@ -71,8 +71,8 @@ def check_bounds(
 
 
 def _check_sh(decoded: NDArray[np.float16], sh: NDArray[np.float16], encoding: CloudEncoding) -> None:
-    """Check the root mean square error of the spherical-harmonics coefficients. Only the mean square is checked: the
-    basis was computed from a sample of the points, so single points can have larger errors."""
+    """Check the root mean square error of the spherical-harmonics coefficients. Errors of single points are not
+    checked, because they can be larger: the basis was computed from a sample of the points."""
     difference = decoded.astype(np.float32) - sh.astype(np.float32)
     rms = np.sqrt(np.square(difference).sum(axis=(1, 2)).mean() / SH_NUMBERS)
     magnitude = np.abs(sh.astype(np.float32)).max(initial=0)

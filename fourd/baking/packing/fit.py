@@ -19,8 +19,8 @@ SAMPLES, SAMPLES_PER_FRAME = 200_000, 2000
 computed."""
 
 _SMALLEST = 1e-9
-"""Numbers in the basis whose absolute value is below this threshold are set to 0, because arithmetic with subnormal
-numbers is slow."""
+"""Basis elements whose absolute value is below this threshold are set to 0, because arithmetic with subnormal numbers
+is slow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +57,8 @@ def merge_samples(samples: Iterable[CloudSamples]) -> CloudSamples:
 
 
 def sample_cloud(frame: BakedFrame, frames: int = 1) -> CloudSamples:
-    """Sample the points of one frame at equally spaced indices. ``frames`` is the total number of frames that are
-    sampled."""
+    """Sample the points of one frame at equally spaced indices. ``frames`` is the number of all frames that are
+    sampled, on which the number of samples per frame depends."""
     if frame.point_count == 0:
         nothing = np.zeros(0, np.float32)
         return CloudSamples(
@@ -106,10 +106,10 @@ def fit_encoding(samples: CloudSamples, precision: Precision, image_scale: float
 
 
 def _sh_basis(sh: NDArray[np.float32], step: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the principal components (K, 48) of the coefficients, and the mean (48,) of the coefficients.
+    """Return the principal components (K, 48) of the coefficients and their mean (48,).
 
-    A component is left out if its factors are at most half a quantisation step in all samples, because these factors
-    would be rounded to 0. A factor is the coordinate of a sample along a component.
+    A factor is the coordinate of a sample along a component. Components whose factors are at most half a quantisation
+    step in all samples are left out, because these factors would be rounded to 0.
     """
     if len(sh) == 0:
         return np.zeros((0, SH_NUMBERS), np.float32), np.zeros(SH_NUMBERS, np.float32)

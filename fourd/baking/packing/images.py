@@ -1,7 +1,7 @@
 """Images of source views for packed scenes of the tier "video". :mod:`fourd.baking.packed.images` describes the images.
 
-The image of a view is fitted to the colours of the points that the view sees. Colours that readers sample from the
-image are therefore close to the colours of the scene. The recordings of the cameras are not needed.
+The image of a view is fitted to the colours of the points that the view sees, such that the colours that readers sample
+from it are close to those of the scene. The camera recordings are not needed.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.cameras import Camera
 
 BLURS = (2.0, 1.0, 0.7, 0.0, 0.0)
-"""Standard deviation, in texels, of the blur that is applied to each successive correction of a fitted plane. The first
-corrections also fill the gaps between points."""
+"""Standard deviation, in texels, of the blur of each successive correction of a fitted plane. The first corrections are
+blurred most, to fill the gaps between points."""
 _OPTIONS = {"b": "0", "lag-in-frames": "0", "deadline": "good", "cpu-used": "1", "aq-mode": "0"}
 """Options of libvpx-vp9: constant quality, and a packet for each frame."""
 _DAMPING = 0.02
-"""Regularisation that is added to the sum of the points' weights in each texel. In texels with a small sum, the
-regularisation keeps the difference near 0."""
+"""Regularisation that is added to the sum of the points' weights in each texel. It keeps the difference near 0 in
+texels with a small sum."""
 _FROM_YCC = np.array([[1, 0, RED_FROM_CR], [1, GREEN_FROM_CB, GREEN_FROM_CR], [1, BLUE_FROM_CB, 0]], np.float64)
 _TO_YCC = np.linalg.inv(_FROM_YCC).astype(np.float32)
 """Matrix from red, green and blue to Y, Cb and Cr."""
@@ -51,9 +51,8 @@ _TO_YCC = np.linalg.inv(_FROM_YCC).astype(np.float32)
 def choose_scale(cloud: BakedFrame, manifest: SceneManifest, precision: Precision) -> float | None:
     """Return the scale of the images for a typical cloud, or None if the tier has no images.
 
-    For each view, the median radius, in pixels, of all points that the view sees is computed. The scale is chosen such
-    that the largest median over all views is ``precision.texels_per_radius`` texels. The images have at most the
-    resolution of the cameras.
+    The scale is chosen such that, in the view with the largest median radius of visible points in pixels, this radius
+    is ``precision.texels_per_radius`` texels. The images have at most the resolution of the cameras.
     """
     if precision.crf is None or manifest.view_count == 0:
         return None
@@ -74,7 +73,7 @@ def add_images(
     encoding: CloudEncoding,
     precision: Precision,
 ) -> None:
-    """Append the images of the source views to the members of the views, if the encoding has images.
+    """If the encoding has images, append the image of each source view to the view's member.
 
     ``members`` is the result of :func:`fourd.baking.packed.members.encode_cloud` for ``cloud``.
     """
@@ -131,11 +130,10 @@ def fit_plane(
     weights: Floats,
     size: tuple[int, int],
 ) -> NDArray[np.float32]:
-    """Return the plane (H, W) whose bilinear samples at the positions x (M,) and y (M,) are near ``values`` (M,).
+    """Fit a plane (H, W) whose bilinear samples at the positions x (M,) and y (M,) are near ``values`` (M,).
 
-    The method is simultaneous algebraic reconstruction (Andersen and Kak 1984). Each iteration distributes the
-    remaining errors to the texels, with the weights of bilinear interpolation. Texels far from all points have the
-    value 0.
+    The method is simultaneous algebraic reconstruction (Andersen and Kak 1984): each iteration distributes the
+    remaining errors to the texels with the weights of bilinear interpolation. Texels far from all points are 0.
 
     Args:
         values: (M,) values to approximate.
@@ -158,7 +156,7 @@ def fit_plane(
 
 
 def _scatter(corners: NDArray[np.int64], shares: Floats, size: tuple[int, int]) -> NDArray[np.float32]:
-    """Return the plane (H, W) with the sums of ``shares`` (4, M) at the texels ``corners`` (4, M)."""
+    """Return the plane (H, W) in which ``shares`` (4, M) are summed at the texels ``corners`` (4, M)."""
     width, height = size
     return np.bincount(corners.ravel(), shares.ravel(), width * height).reshape(height, width).astype(np.float32)
 
@@ -175,8 +173,8 @@ def _corners(x: Floats, y: Floats, size: tuple[int, int]) -> tuple[NDArray[np.in
 
 
 def _crop(x: Floats, y: Floats, grid: tuple[int, int]) -> tuple[int, int, int, int]:
-    """Return left, top, width and height of the part of the grid that contains the positions, with a margin. All four
-    numbers are even."""
+    """Return left, top, width and height, all even, of the region of the grid that contains the positions and a
+    margin."""
     starts, sizes = [], []
     for positions, side in zip((x, y), grid, strict=True):
         start = min(max(math.floor(positions.min()) - 1, 0), side - 2) // 2 * 2

@@ -1,5 +1,5 @@
-"""Light scenes: all colours are stored as low-degree spherical harmonics, which are fitted to the colours of the source
-scene."""
+"""Fits the colours of light scenes (packed scenes without source views), which are stored only as low-degree spherical
+harmonics."""
 
 from __future__ import annotations
 

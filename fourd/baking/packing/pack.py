@@ -34,11 +34,10 @@ class PackReport:
         bytes: size of the file.
         parts: for each kind of member, such as "points" or "views", the mean compressed size per frame in bytes. For
             "background", the total size, because the background is stored once.
-        streamed: mean compressed size, in bytes per frame, of the members that a player fetches for one viewing camera.
-            The player fetches the members of ``neighbours`` source views, and all members that do not belong to a
-            source view.
-        colour_psnr: PSNR, in dB, of the colours in the source views, compared with the colours of the source scene.
-            None if the tier does not store the colours in the source views as images.
+        streamed: mean compressed size, in bytes per frame, of the members that a player fetches for one viewing camera:
+            those of ``neighbours`` source views, and all that do not belong to a source view.
+        colour_psnr: PSNR, in dB, of the colours in the source views against those of the source scene. None if the tier
+            does not store them as images.
     """
 
     bytes: int
@@ -68,8 +67,8 @@ def pack_scene(
         level: index of the tier's level in :data:`fourd.baking.packing.precision.LEVELS`. 0 is the finest. None selects
             the level of :data:`fourd.baking.packing.precision.DEFAULT_LEVELS`.
         storage: compression and order of the members.
-        has_normals: whether the packed scene has normals. Web pages need normals to draw styles. If ``source`` has no
-            normals, they are estimated.
+        has_normals: whether the packed scene has normals, which web pages need to draw styles. If ``source`` has none,
+            they are estimated.
 
     Raises:
         UserError: if ``source`` is not a valid scene or has no frames, or if ``out`` cannot be written.
@@ -87,9 +86,9 @@ def pack_scene(
 def measure_frames(
     reader: SceneReader, frames: Sequence[int], tier: Tier, level: int, compression: Compression = "zstd"
 ) -> float:
-    """Return the mean bytes per frame that a player fetches for one viewer, measured on some of the frames.
+    """Measure the mean number of bytes per frame that a player fetches for one viewer, on some of the frames.
 
-    ``frames`` are frame indices. The background is not included, because it is fetched once.
+    ``frames`` are the indices of these frames. The background is not included, because it is fetched once.
     """
     packer = _Packer(reader, tier, level, frames, untracked, has_background=False)
     sizes = {
@@ -102,7 +101,7 @@ def measure_frames(
 
 @dataclass(frozen=True)
 class _Cloud:
-    """An encoded cloud: the number of its points, and its members before compression."""
+    """An encoded cloud of points, with its members before compression."""
 
     points: int
     members: dict[str, bytes]
@@ -133,8 +132,7 @@ class _Packer:
         self.colours = ColourErrors()
         sampled = (sample_cloud(self._read(index), len(frames)) for index in frames)
         dynamic = merge_samples(track(sampled, len(frames), "sample"))
-        # All background points are kept, because the background also covers directions that no view of the capture
-        # shows.
+        # All background points are kept, even those that no view of the capture shows, because a viewer may look there.
         background = reader.read_background() if has_background else None
         self.background = None if background is None else self._prepare(background, is_background=True)
         first = next((index for index in frames if reader.manifest.points[index]), frames[0])
@@ -169,9 +167,8 @@ class _Packer:
         return replace(report, colour_psnr=self.colours.psnr if has_images else None)
 
     def _read(self, index: int, *, for_file: bool = False) -> BakedFrame:
-        """Read those dynamic points of a frame that are visible in at least one view, and convert them for the tier.
-
-        Unless ``for_file`` is true, the points have no normals.
+        """Read the dynamic points of a frame that are visible in at least one view, and convert them for the tier.
+        Unless ``for_file`` is true, they have no normals.
         """
         cloud = self.reader.read_dynamic(index)
         visible = _select(cloud, find_visible(cloud, self.reader.manifest, self.precision.min_visibility))
@@ -181,7 +178,7 @@ class _Packer:
         """Convert a cloud for the tier, with normals if the packed scene has them.
 
         Normals are estimated before the conversion, because they need the source views, which show the outer side of a
-        surface. The conversion for the tier "light" removes the source views.
+        surface and which the conversion for the tier "light" removes.
         """
         if not self.has_normals:
             return self.convert(replace(cloud, normals=None))

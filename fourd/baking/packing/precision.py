@@ -1,4 +1,4 @@
-"""The precision with which each tier stores the points of a scene. Each tier has several levels, from the finest to the
+"""The precision with which each tier stores the points of a scene, in several levels from the finest to the
 coarsest."""
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ class Precision:
 
     Attributes:
         positions_per_radius: number of quantisation steps of the positions within the median radius of the points.
-        colour_step: quantisation step of colours, in units of 1/255. The step is at least 2, because colour
-            differences, which range from -255 to 255, are divided by the step and stored as signed bytes.
+        colour_step: quantisation step of colours, in units of 1/255. It is at least 2, because colour differences,
+            which range from -255 to 255, are divided by it and stored as signed bytes.
         mean_colour_step: step to which mean colours are rounded, in units of 1/255.
-        unseen_colour_step: step to which the colours of a point are rounded in views with a blend weight of 0, in units
-            of 1/255. If None, these colours are replaced by the point's mean colour.
-        min_visibility: dynamic points are left out if their visibility is below this minimum in all views of
-            :func:`fourd.baking.colour_fit.viewpoints`. The visibility of a point is in [0, 1].
-        crf: constant quality of the images of the source views, from 0 (best) to 63. If None, the colours are stored
-            for each point instead of in images.
+        unseen_colour_step: step to which a point's colours are rounded in views with a blend weight of 0, in units of
+            1/255. If None, they are replaced by the point's mean colour.
+        min_visibility: dynamic points are left out if their visibility, in [0, 1], is below this minimum in all views
+            of :func:`fourd.baking.colour_fit.viewpoints`.
+        crf: constant quality of the source-view images, from 0 (best) to 63. If None, the colours are stored for each
+            point instead.
         texels_per_radius: number of image texels that the median radius of the points spans, in the source view with
             the largest median radius in pixels.
     """
@@ -79,5 +79,4 @@ LEVELS: dict[Tier, tuple[Precision, ...]] = {
 """Levels of each tier, from the finest to the coarsest."""
 
 DEFAULT_LEVELS: dict[Tier, int] = {"full": 1, "stream": 2, "video": 1, "light": 1}
-"""Index of the level that each tier uses by default. For a connection with a given data rate, another level may be
-chosen."""
+"""Index of the level that each tier uses if no data rate is given."""

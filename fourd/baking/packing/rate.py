@@ -1,5 +1,4 @@
-"""Chooses the tier and the level of a packed scene, such that the scene plays without pauses over a network
-connection."""
+"""Chooses the tier and level of a packed scene such that it plays without pauses over a network connection."""
 
 from __future__ import annotations
 
@@ -18,10 +17,10 @@ from fourd.progress import Track, untracked
 SAMPLED_FRAMES = 3
 """Number of frames from which the bytes per frame of a level (a set of quantisation steps) are estimated."""
 MARGIN = 0.95
-"""Maximum estimated data rate of a level, as a share of the connection's data rate. The remaining data rate is for
-frames that are larger than the mean."""
+"""Maximum estimated data rate of a level, as a fraction of the connection's data rate. The rest is a reserve for frames
+that are larger than the mean."""
 WEB_MARGIN = 0.9
-"""The value of MARGIN for web pages, which is lower because web pages request several frames at the same time."""
+"""The value of MARGIN for web pages. It is lower because web pages request several frames at the same time."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ class Choice:
     Attributes:
         tier, level: see :data:`fourd.baking.packing.precision.LEVELS`.
         mbps: estimated rate in megabits per second.
-        finer_mbps: estimated rate of the next better level, which the connection cannot carry. None if no level is
+        finer_mbps: estimated rate of the next better level, for which the connection is too slow. None if no level is
             better.
         fps: frames per second of playback.
     """
@@ -49,8 +48,8 @@ class Choice:
 
 
 LIGHT_FROM = 3
-"""Index of the finest level of "light" that can be chosen for a connection. Finer levels of "light" are not needed,
-because levels of "stream" have a similar size and quality."""
+"""Index of the finest level of "light" that can be chosen for a connection. Finer levels are not needed, because levels
+of "stream" have a similar size and quality."""
 CANDIDATES: tuple[tuple[Tier, int], ...] = (
     *(("full", level) for level in range(len(LEVELS["full"]))),
     *(("stream", level) for level in range(len(LEVELS["stream"]))),
@@ -62,13 +61,13 @@ CANDIDATES: tuple[tuple[Tier, int], ...] = (
 def choose_tier(
     source: Path, max_mbps: float, name: Path, track: Track = untracked, *, for_web: bool = False
 ) -> Choice:
-    """Return the best level that one viewer can play without pauses over a connection of ``max_mbps`` megabits per
-    second.
+    """Choose the best tier and level that one viewer can play without pauses over a connection of ``max_mbps`` megabits
+    per second.
 
     Args:
         source: a `.4dv` of any version.
         max_mbps: rate of the connection.
-        name: the file that the error message names, because ``source`` may be a temporary file.
+        name: the file that the error message names; ``source`` itself may be a temporary file.
         track: reports progress.
         for_web: whether the scene is played by a web page, which needs the compression "zlib" and the margin
             WEB_MARGIN.

@@ -1,5 +1,4 @@
-"""Copies packed scenes and compresses their members with another method. The points are not quantised again, so no
-precision is lost."""
+"""Copies packed scenes and compresses their members with another method, without quantising the points again."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ def transcode_scene(
     source: Path, out: Path, storage: Storage, track: Track = untracked, *, has_normals: bool = False
 ) -> None:
     """Write the packed scene ``source`` as ``out``, with another compression and another order of the members. The
-    frames of ``source`` are checked. With ``has_normals``, normals are estimated if ``source`` has none.
+    frames of ``source`` are checked. If ``has_normals`` is True and ``source`` has no normals, they are estimated.
 
     Raises:
         UserError: if ``source`` is damaged or is not a packed scene, or if ``out`` cannot be written.
@@ -53,7 +52,7 @@ def transcode_scene(
 
 
 def _contents(reader: SceneReader, folder: str, points: int, encoding: CloudEncoding) -> dict[str, bytes]:
-    """Return the decompressed contents of a cloud's members. The members must have been checked by the reader."""
+    """Return the decompressed contents of a cloud's members, which the reader must have checked."""
     manifest = reader.manifest
     optional = [item.nbytes(points, manifest.view_count) for item in manifest.attributes if item.is_optional]
     largest = max(points * max(encoding.code_bytes + 3, 2 * SH_NUMBERS), *optional, 0)

@@ -11,8 +11,8 @@ from fourd.ops.points.arrays import point_visibility_numpy
 
 
 def find_visible(cloud: BakedFrame, manifest: SceneManifest, least: float) -> NDArray[np.int64]:
-    """Return the indices, in ascending order, of the points whose visibility is at least ``least`` in one or more
-    views.
+    """Return the indices, in ascending order, of the points whose visibility is at least ``least`` in at least one
+    view.
 
     The views are those of :func:`fourd.baking.colour_fit.viewpoints`: the source views, and views halfway between
     neighbouring source views. The visibility of a point is in [0, 1]. The background does not hide dynamic points.

@@ -1,7 +1,5 @@
-"""Writes packed scenes. The first member (file inside the ZIP) is the manifest, which contains the offsets of all other
-members.
-
-A player on a network can therefore fetch any frame as soon as it has the manifest.
+"""Writes packed scenes. The first member (file inside the ZIP) is the manifest. It contains the offsets of all other
+members, so that a player on a network can fetch any frame as soon as it has the manifest.
 """
 
 from __future__ import annotations
@@ -39,9 +37,8 @@ class Storage:
 
     Attributes:
         compression: compression of all members. Web browsers can only decompress "zlib".
-        view_order: order of the source views inside each cloud's part of the file. A player on a network needs only one
-            request to read several views that are adjacent in the file. If ``view_order`` is empty, the views have the
-            order of the manifest.
+        view_order: order of the source views of each cloud in the file; empty for the order of the manifest. It matters
+            because a player on a network reads adjacent views with one request.
     """
 
     compression: Compression = "zstd"
@@ -57,7 +54,7 @@ class PackedWriter:
     Args:
         path: path of the `.4dv`. Missing folders of ``path`` are created.
         manifest: manifest of the scene, with ``points``, ``background`` and ``encoding``. The values in ``points`` are
-            upper limits. The written file contains the actual numbers of points of the added frames.
+            upper limits; the written file contains the actual numbers of points of the added frames.
         storage: compression and order of the members.
 
     Raises:
@@ -113,7 +110,7 @@ class PackedWriter:
             return
         with disk_errors(self.path), self._stack:
             manifest = self._complete_manifest()
-            # The central directory of the ZIP, which close() writes, repeats the checksum of the manifest.
+            # The checksum is set before close(), which writes it to the central directory of the ZIP.
             self._zip.getinfo(MANIFEST_NAME).CRC = zlib.crc32(manifest)
             self._zip.close()
             self._overwrite_manifest(manifest)
@@ -122,7 +119,7 @@ class PackedWriter:
         assert self._zip is not None
         total = 0
         views = [view_member(view) for view in self._storage.view_order]
-        # Optional attributes are stored after the views, because most players do not fetch optional attributes.
+        # Optional attributes are stored after the views, because most players do not fetch them.
         optional = [name for name in members if name.startswith(optional_member(""))]
         base = [name for name in members if name not in {*views, *optional}]
         names = [*base, *(name for name in views if name in members), *optional]
@@ -135,7 +132,7 @@ class PackedWriter:
         return total
 
     def _manifest_room(self) -> int:
-        """Return an upper limit of the size of the complete manifest, in bytes."""
+        """Return an upper bound of the size of the complete manifest, in bytes."""
         frames = self.manifest.frame_count
         members = (frames + 1) * (len(packed_names(self.manifest)) + 1)
         names = sum(len(name) for name in self.manifest.optional_attributes) * (frames + 1)
@@ -154,7 +151,7 @@ class PackedWriter:
         return text.ljust(self._manifest_room())
 
     def _overwrite_manifest(self, manifest: bytes) -> None:
-        """Replace the spaces, which :meth:`__enter__` wrote as a placeholder, by the manifest. Correct the manifest's
+        """Write the manifest in place of the spaces that :meth:`__enter__` reserved for it, and correct its
         checksum."""
         with open_zip(self._temporary) as archive:
             header = archive.getinfo(MANIFEST_NAME).header_offset

@@ -25,9 +25,8 @@ class SplatCloud:
         scale: (N, 3) float32, standard deviations along the splat's axes in world units, above 0.
         rotation: (N, 4) float32, unit quaternions (w, x, y, z) from the splat's axes to the world.
         opacity: (N,) float32 in [0, 1], at the centre of the splat.
-        sh: (N, 3, T) float32, spherical-harmonics coefficients, where T is 1, 4, 9 or 16. The colour is
-            ``0.5 + sum(sh * Y(d))``. Y(d) are the T spherical harmonics in the unit direction d from the camera to the
-            splat.
+        sh: (N, 3, T) float32, spherical-harmonics coefficients, where T is 1, 4, 9 or 16. The colour is ``0.5 + sum(sh
+            * Y(d))``, where Y(d) are the T spherical harmonics in the unit direction d from the camera to the splat.
 
     Raises:
         ValueError: for a wrong shape. The message names the array.
@@ -71,9 +70,9 @@ def make_valid_cloud(
 ) -> SplatCloud:
     """Make a cloud from values that were read from a file. The quaternions need not be normalised.
 
-    A splat is left out if one of its values is NaN, infinite or larger than :data:`LARGEST`. A splat is also left out
-    if a scale is not above 0, or if the quaternion is 0. Opacities are clamped to [0, 1]. The arguments have the shapes
-    of the fields of :class:`SplatCloud`.
+    A splat is left out if one of its values is NaN or infinite or exceeds :data:`LARGEST` in absolute value, if a scale
+    is below :data:`SMALLEST_SCALE`, or if its quaternion is 0. Opacities are clamped to [0, 1]. The arguments have the
+    shapes of the fields of :class:`SplatCloud`.
     """
     length = np.linalg.norm(rotation.astype(np.float64), axis=1, keepdims=True)
     values = np.concatenate(
@@ -93,8 +92,8 @@ def rotate_cloud(cloud: SplatCloud, rotation: NDArray[np.float64]) -> SplatCloud
     """Rotate a cloud about the origin by the matrix R = ``rotation``.
 
     Args:
-        rotation: (3, 3) matrix R. A point x moves to R @ x. The colour that a splat has in the direction d before the
-            rotation is its colour in the direction R @ d after the rotation.
+        rotation: (3, 3) matrix R. A point x moves to R @ x. A splat's colour in the direction d before the rotation
+            becomes its colour in the direction R @ d.
     """
     turned = _multiply(_quaternion(rotation), cloud.rotation)
     harmonics = _harmonics_rotation(rotation)[: cloud.sh.shape[-1], : cloud.sh.shape[-1]]
@@ -108,12 +107,11 @@ def rotate_cloud(cloud: SplatCloud, rotation: NDArray[np.float64]) -> SplatCloud
 
 
 def _harmonics_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The matrix (16, 16) that rotates the coefficients of the spherical harmonics. The matrix mixes only coefficients
-    of the same degree.
+    """Return the matrix (16, 16) that rotates spherical-harmonics coefficients. It mixes only coefficients of the same
+    degree.
 
-    The matrix is the solution of a linear system: the colour in each direction d after the rotation must equal the
-    colour in the direction R.T @ d before the rotation, where R is ``rotation``. The system has more equations than
-    unknowns but still has an exact solution.
+    The matrix solves a linear system: the colour in each direction d after the rotation must equal the colour in the
+    direction R.T @ d before it, where R is ``rotation``. The system is overdetermined but has an exact solution.
     """
     directions = np.random.default_rng(0).normal(size=(4 * SH_TERMS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -135,7 +133,7 @@ def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _multiply(left: NDArray[np.float64], right: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The products (N, 4) of one quaternion with N quaternions, all (w, x, y, z)."""
+    """Return the products (N, 4) of one quaternion with N quaternions, all (w, x, y, z)."""
     w, x, y, z = left
     matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     return np.asarray(right @ matrix.T, np.float32)

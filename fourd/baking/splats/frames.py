@@ -1,8 +1,7 @@
 """Conversion between the frames of a scene and Gaussian splats.
 
-The alpha of a fourd point is ``density * (1 - d^2 / radius^2)`` at the distance d from its centre. A Gaussian splat
-with the standard deviation ``radius / 2`` and the same alpha at the centre has the same integral of alpha over the
-image.
+The alpha of a fourd point is ``density * (1 - d^2 / radius^2)`` at the distance d from its centre. Its integral over
+the image equals that of a Gaussian splat with the same alpha at the centre and the standard deviation ``radius / 2``.
 """
 
 from __future__ import annotations
@@ -19,16 +18,15 @@ from fourd.ops.shade.harmonics import SH_CONSTANT, SH_TERMS
 
 RADIUS_PER_SCALE = 2.0
 SPLAT_SH_BASE, SPLAT_SH_RANGE = 0.5, 16.0
-"""Constants of the colour formula ``base + range * tanh(dot(sh, Y(d)))`` of frames that are made from splats. The range
-is so large that, for colours in [-0.5, 1.5], the formula differs by less than 0.002 from the linear formula of
-splats."""
+"""Constants of the colour ``base + range * tanh(dot(sh, Y(d)))`` of frames that are made from splats. The range is so
+large that the colour differs by less than 0.002 from the linear formula of splats, for colours in [-0.5, 1.5]."""
 MAX_PIECES = 8
 """Maximum number of points by which one elongated splat is replaced."""
 _SAMPLES = 4096
 """Number of coloured points that are sampled to measure the spacing of the points."""
 _POINT_SCALE = 0.9
-"""Standard deviation of the splats of coloured points, as a multiple of the median distance between a point and its
-nearest point."""
+"""Standard deviation of the splats of coloured points, as a multiple of the median distance to the nearest
+neighbour."""
 MAX_HALF = float(np.finfo(np.float16).max)
 _SPREAD = 2.4
 """Distance between the first and the last of the points that replace an elongated splat, as a multiple of the splat's
@@ -54,8 +52,7 @@ class SplatFit:
 
 
 def cloud_from_points(points: ColouredPoints) -> SplatCloud:
-    """Return round, opaque splats at coloured points. The splats are large enough to close the gaps between
-    neighbouring points."""
+    """Return round, opaque splats at coloured points, large enough to close the gaps between them."""
     xyz, rgb = points
     sample = xyz[:: max(len(xyz) // _SAMPLES, 1)]
     distances = np.asarray(cKDTree(xyz).query(sample, k=2)[0])[:, 1] if len(xyz) > 1 else np.ones(1)
@@ -70,8 +67,8 @@ def cloud_from_points(points: ColouredPoints) -> SplatCloud:
 def frame_from_splats(cloud: SplatCloud) -> BakedFrame:
     """Return points that look like a cloud of splats, for a scene without source views.
 
-    Because fourd's points are round, a splat whose longest axis is much longer than its middle axis is replaced by
-    several points along the longest axis. The shortest axis of a splat is ignored, so flat splats become thicker.
+    Because fourd's points are round, an elongated splat (much longer than its middle axis) is replaced by several
+    points along its longest axis. Its shortest axis is ignored, so flat splats become thicker.
     """
     order = np.argsort(-cloud.scale, axis=1)
     scale = np.take_along_axis(cloud.scale, order, axis=1)
@@ -101,8 +98,8 @@ def _centred(colour: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _axes(rotation: NDArray[np.float32]) -> NDArray[np.float64]:
-    """The rotation matrices (N, 3, 3) of unit quaternions (w, x, y, z). The columns of a matrix are the axes of the
-    splat."""
+    """Return the rotation matrices (N, 3, 3) of unit quaternions (w, x, y, z). Their columns are the axes of the
+    splats."""
     from scipy.spatial.transform import Rotation
 
     if len(rotation) == 0:

@@ -47,7 +47,7 @@ def write_splat_ply(path: Path, cloud: SplatCloud) -> None:
 
 
 def is_splat_ply(path: Path) -> bool:
-    """Whether a PLY file has the properties of splats. Raises UserError if the file's header is not valid."""
+    """Return True if a PLY file has the properties of splats. Raises UserError if its header is not valid."""
     return read_header(path).names >= set(REQUIRED)
 
 

@@ -16,8 +16,8 @@ ROW = np.dtype([("xyz", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rot
 
 
 def write_splat(path: Path, cloud: SplatCloud) -> None:
-    """Write a cloud, atomically. Large and opaque splats are written first, so that a viewer can already draw a part of
-    the file."""
+    """Write a cloud, atomically. Large and opaque splats are written first, so that a viewer can draw a useful image
+    while the file loads."""
     rows = np.zeros(len(cloud), ROW)
     rows["xyz"], rows["scale"] = cloud.xyz, cloud.scale
     rgba = np.concatenate([cloud.base_colour, cloud.opacity[:, None]], axis=1)
@@ -29,7 +29,7 @@ def write_splat(path: Path, cloud: SplatCloud) -> None:
 
 
 def count_splats(path: Path) -> int:
-    """Number of splats in the file. Raises UserError if the size of the file is not a multiple of 32 bytes."""
+    """Return the number of splats in the file. Raises UserError if its size is not a multiple of 32 bytes."""
     try:
         size = path.stat().st_size
     except OSError as error:

@@ -21,10 +21,10 @@ from fourd.storage import Location
 
 SUFFIXES = (".ply", ".splat")
 SPLAT_LAYERS = 48
-"""Maximum number of points that are composited per pixel. Splats are less opaque than fourd's points, so more splats
-must be composited."""
+"""Maximum number of points that are composited per pixel. It is higher than for fourd's points, because splats are less
+opaque."""
 OUTLIERS = 2.0
-"""Percentage of the splats that lie outside each of the six sides of the bounds."""
+"""Percentage of the splats that lie beyond each of the six sides of the bounds."""
 
 
 def open_reader(path: Location) -> SceneReader | SplatReader:
@@ -33,18 +33,17 @@ def open_reader(path: Location) -> SceneReader | SplatReader:
 
 
 def is_splats(path: Path) -> bool:
-    """Whether a path names a file of splats or points, or a folder that contains such files and is not a run."""
+    """Return whether a path names a file of splats or points, or a folder that contains such files and is not a run."""
     if path.is_dir():
         return not (path / "config.yaml").exists() and bool(_list_files(path))
     return path.suffix.lower() in SUFFIXES
 
 
 class SplatReader:
-    """Reads splats as a scene without source views. Every call reads the requested frame from its file.
+    """Reads splats as a scene without source views. Each call reads the requested frame from its file.
 
-    The interface is that of :class:`fourd.baking.container.SceneReader`. The up direction of splats is -y, which is the
-    convention of programs for Gaussian splats. The up direction of coloured points is +z. ``manifest.points`` contains
-    the numbers of splats in the files.
+    The interface is that of :class:`fourd.baking.container.SceneReader`. The up direction is -y for splats, by
+    convention, and +z for coloured points. ``manifest.points`` contains the numbers of splats in the files.
 
     Args:
         path: a `.ply` or `.splat` file, or a folder with one file for each frame.
@@ -101,7 +100,7 @@ class SplatReader:
 
 
 def _list_files(folder: Path) -> list[Path]:
-    """The files of splats in a folder, ordered by the last number in their names."""
+    """Return the splat files in a folder, ordered by the last number in their names."""
     files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
     return sorted(files, key=lambda file: (_last_number(file), file.name))
 
@@ -135,7 +134,7 @@ def _read_cloud(file: Path) -> SplatCloud:
 
 
 def _extent(xyz: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Lower and upper corner of a box that contains most of the splats, and the median position of the splats."""
+    """Return the lower and upper corner of a box that contains most of the splats, and their median position."""
     points = xyz.astype(np.float64)
     lower, middle, upper = np.percentile(points, [OUTLIERS, 50, 100 - OUTLIERS], axis=0)
     return lower, upper, middle

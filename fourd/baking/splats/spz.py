@@ -45,8 +45,8 @@ def write_spz(path: Path, cloud: SplatCloud) -> None:
 
 
 def _fractional_bits(cloud: SplatCloud) -> int:
-    """Number of fractional bits of the fixed-point coordinates. The number is at most MAX_FRACTIONAL_BITS, and so small
-    that the coordinate with the largest absolute value still fits in POSITION_BITS bits."""
+    """Return the number of fractional bits of the fixed-point coordinates: at most MAX_FRACTIONAL_BITS, and few enough
+    that all coordinates fit in POSITION_BITS bits."""
     farthest = float(np.abs(cloud.xyz).max(initial=1e-3))
     whole = max(int(np.ceil(np.log2(farthest * 1.001))), 0) + 1
     return min(max(POSITION_BITS - 1 - whole, 0), MAX_FRACTIONAL_BITS)

@@ -13,7 +13,7 @@ IMAGE_SIZE, FOCAL = (960, 720), 800.0
 
 
 def cameras_around(focus: NDArray[np.float64], diagonal: float, up: NDArray[np.float64]) -> tuple[Camera, ...]:
-    """Cameras in a ring around a subject.
+    """Return cameras in a ring around a subject.
 
     Args:
         focus: (3,) centre of the subject in world units.

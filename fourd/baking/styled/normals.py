@@ -17,12 +17,12 @@ _SAMPLES = 4096
 
 
 def add_normals(frame: BakedFrame, manifest: SceneManifest, *, is_background: bool = False) -> BakedFrame:
-    """Return ``frame`` with estimated normals. The source cameras in the manifest determine which side of a surface is
-    outside.
+    """Return ``frame`` with estimated normals, which point to the side of a surface that the manifest's source cameras
+    see.
 
     Args:
-        is_background: whether the points surround the cameras. The normals of background points that no source camera
-            sees are turned towards the source cameras.
+        is_background: whether the points surround the cameras. If true, the normals of points that no source camera
+            sees point towards the source cameras.
     """
     return replace(frame, normals=_estimate(frame.xyz, frame.blend_weights, manifest, is_background))
 
@@ -40,8 +40,8 @@ def _estimate(
 class FrameNormals:
     """Returns the normals of frames, and keeps estimated normals in a cache of CACHE_BYTES.
 
-    An estimate takes about 0.5 s for 40,000 points. Dynamic points and background points are estimated separately, so
-    that the background is estimated only once.
+    An estimate takes about 0.5 s for 40,000 points. The normals of dynamic points and of the background are estimated
+    separately, so that those of the background are estimated only once.
     """
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class FrameNormals:
         )
 
     def get(self, frame: BakedFrame, manifest: SceneManifest) -> NDArray[np.uint8]:
-        """The (N, 2) uint8 octahedral normals of a frame."""
+        """Return the (N, 2) uint8 octahedral normals of a frame."""
         if frame.normals is not None:
             return frame.normals
         count = frame.dynamic_count
@@ -63,7 +63,7 @@ class FrameNormals:
         self, frame: BakedFrame, part: slice, manifest: SceneManifest, *, is_background: bool
     ) -> NDArray[np.uint8]:
         xyz = frame.xyz[part]
-        # The cache key is computed from the positions, because reading a frame again gives equal positions in a new
+        # The cache key is a hash of the positions, because a frame that is read again has equal positions in a new
         # array.
         samples = xyz[:: max(1, len(xyz) // _SAMPLES)].tobytes()
         key = hashlib.sha256(samples + str((xyz.shape, is_background)).encode()).digest()

@@ -24,7 +24,7 @@ from fourd.stylize.view import view_style
 
 @dataclass(eq=False)
 class _Picture:
-    """Data that is kept from one picture for the next picture."""
+    """Data that is kept from one image for the next."""
 
     surface: Surface
     lines: NDArray[np.uint32]
@@ -35,11 +35,10 @@ class _Picture:
 class StyledPlayer:
     """Draws baked frames in a style. An instance is not thread-safe: only one thread may use it.
 
-    While the camera does not move, depths and normals are averaged over successive pictures. Lines fade in. Where the
-    previous picture has a line, the thresholds for lines are lower (hysteresis). The noise of the points makes lines
-    flicker. The averages and the hysteresis reduce this flicker. No average is computed at pixels whose depth or normal
-    clearly differs from the previous picture, because a surface moves there. The first picture in a style has all its
-    lines at full strength.
+    The noise of the points makes lines flicker. To reduce the flicker while the camera does not move, depths and
+    normals are averaged over successive images, lines fade in, and the thresholds for lines are lower where the
+    previous image has a line (hysteresis). No average is computed at pixels whose depth or normal clearly differs from
+    the previous image, because a surface moves there. The first image in a style has all its lines at full strength.
 
     Attributes:
         style_seconds: duration of the stylizer in the last call of :meth:`draw`, without the drawing of the surface.
@@ -63,7 +62,7 @@ class StyledPlayer:
         persistence: float = 0.0,
         threads: int = 0,
     ) -> Surface:
-        """Draw the visible surface of a frame. The next call of the method overwrites the surface.
+        """Draw the visible surface of a frame. The next call overwrites the returned surface.
 
         Args:
             persistence: weight of the previous surface if the camera has not changed, from 0 to below 1.
@@ -130,7 +129,7 @@ class StyledPlayer:
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """(H, W) strength of the lines in the last picture, without specks (very short lines, which are not drawn)."""
+        """(H, W) strength of the lines in the last image, without specks (very short lines, which are not drawn)."""
         if self._last is None:
             raise RuntimeError("line_strength: expected a picture, got none; call draw first")
         return remove_specks((self._last.lines & 255).astype(np.uint8), speck_reach(self._last.thickness))
@@ -142,7 +141,7 @@ class StyledPlayer:
 
 
 def is_same_camera(first: Camera, second: Camera) -> bool:
-    """Whether two cameras have the same pose and the same intrinsics. Image sizes are not compared."""
+    """Return True if two cameras have the same pose and intrinsics. Image sizes are not compared."""
     return first is second or (
         np.array_equal(first.intrinsics, second.intrinsics)
         and np.array_equal(first.rotation, second.rotation)

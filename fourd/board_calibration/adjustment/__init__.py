@@ -1,2 +1,2 @@
-"""Bundle adjustment of a rig and the positions of a board. The model includes the time at which each camera sees each
+"""Bundle adjustment of a rig and a board's positions. The model includes the time at which each camera sees each
 corner."""

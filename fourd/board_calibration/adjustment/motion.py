@@ -15,19 +15,18 @@ Array = NDArray[np.float64]
 HALF_WINDOW = 2
 """Maximum number of frames on each side of a frame from which the motion at this frame is computed."""
 END_WINDOW = 3
-"""Number of frames from which the motion is computed in the first and in the last frame of a sequence."""
+"""Number of frames from which the motion at the first and at the last frame of a sequence is computed."""
 MAX_GAP = 2
 """Longest time between two successive frames of a sequence, as a multiple of the median time. At longer gaps, the
 sequence is divided, because the motion between the two frames is unknown."""
 
 
 def board_motion(frames: Sequence[int], boards: Poses) -> Array:
-    """Motion (F, 6) of the board at each frame: angular velocity as a rotation vector, and velocity of the board's
-    origin. The unit of time is the frame.
+    """Return the motion (F, 6) of the board at each frame: angular velocity as a rotation vector, and velocity of the
+    board's origin. The unit of time is the frame.
 
     The motion is the derivative of the polynomial through the poses of up to five successive frames (Fornberg,
-    Generation of finite difference formulas on arbitrarily spaced grids, 1988). The motion is 0 for a frame without
-    neighbours.
+    Generation of finite difference formulas on arbitrarily spaced grids, 1988). It is 0 for a frame without neighbours.
 
     Args:
         frames: F frame numbers, in ascending order.
@@ -49,7 +48,8 @@ def board_motion(frames: Sequence[int], boards: Poses) -> Array:
 
 
 def _window(run: NDArray[np.intp], place: int) -> NDArray[np.intp]:
-    """Indices of the frames from which the motion at the position ``place`` of the sequence ``run`` is computed."""
+    """Return the indices of the frames from which the motion at the position ``place`` of the sequence ``run`` is
+    computed."""
     half = min(HALF_WINDOW, place, len(run) - 1 - place)
     if half:
         return run[place - half : place + half + 1]
@@ -57,7 +57,7 @@ def _window(run: NDArray[np.intp], place: int) -> NDArray[np.intp]:
 
 
 def _derivative_weights(times: Array) -> Array:
-    """Finite-difference weights for values at ``times``.
+    """Return the finite-difference weights for values at ``times``.
 
     The weighted sum of the values is the derivative at time 0 of the polynomial through the values.
     """

@@ -1,4 +1,5 @@
-"""Errors of the corners in one image: independent errors, and errors that all corners of the image share.
+"""Noise model of detected corners. Each corner has an independent error, and all corners of one image share further
+errors.
 
 The corners of one image share errors because of a bent board, motion blur, or an exposure that does not start exactly
 at the frame's time. The shared errors are described as a small random rotation, shift and delay of the board in each
@@ -18,7 +19,7 @@ from fourd.board_calibration.adjustment.rig import BOARD_PARAMETERS, Corners, Pr
 Array = NDArray[np.float64]
 
 SHARED = 7
-"""Number of shared errors of a view: rotation (3), shift (3), delay (1)."""
+"""Number of shared error components of a view: rotation (3), shift (3), delay (1)."""
 TURN, SHIFT, JITTER = slice(0, 3), slice(3, 6), slice(6, 7)
 HUBER_VIEW = 0.7
 """A view has full weight if the root mean square of its shared errors, in standard deviations, is at most this value.
@@ -99,7 +100,7 @@ def group_views(corners: Corners) -> Views:
 
 
 def shared_derivatives(state: RigState, corners: Corners, found: Projection) -> Array:
-    """Derivatives (N, 2, 7) of the pixels with respect to the shared errors of their view."""
+    """Return the derivatives (N, 2, 7) of the pixels with respect to the shared errors of their view."""
     middle = (corners.xyz.min(axis=0) + corners.xyz.max(axis=0)) / 2
     arm = state.boards.rotation[corners.board] @ middle
     by_turn, by_shift = found.by_board[..., :3], found.by_board[..., 3:]
@@ -110,8 +111,8 @@ def shared_derivatives(state: RigState, corners: Corners, found: Projection) -> 
 def weigh(
     views: Views, residual: Array, shared: Array, noise: ViewNoise, camera: NDArray[np.intp], huber_px: Array
 ) -> Weights:
-    """Compute the weights of the corners and the weights of the views' shared errors. The weight of a corner is the
-    weight that the Huber loss gives to its error, after the shared errors of its view are subtracted.
+    """Compute the weights of the corners and of the views' shared errors. A corner's weight is the weight that the
+    Huber loss gives to its error, after the shared errors of its view are subtracted.
 
     Args:
         views: the corners by view.
@@ -149,7 +150,7 @@ def estimate_noise(
     weights: Weights,
     floor: ViewNoise,
 ) -> ViewNoise:
-    """Estimate the standard deviations again for the current state of the rig.
+    """Re-estimate the standard deviations for the current state of the rig.
 
     The independent errors are the residuals after fitting a separate pose of the board to each view. The shared errors
     are estimated together with the pose of the board, from frames in which two or more cameras see the board.
@@ -173,7 +174,8 @@ def estimate_noise(
 
 
 def _independent(views: Views, grams: Array, before: Array) -> Array:
-    """Standard deviations (C,), in pixels, of the independent errors, computed from the views' Gram matrices."""
+    """Return the standard deviations (C,), in pixels, of the independent errors, computed from the views' Gram
+    matrices."""
     pose, last = slice(0, BOARD_PARAMETERS), BOARD_PARAMETERS + SHARED
     damped = grams[:, pose, pose] + 1e-9 * np.eye(BOARD_PARAMETERS)
     explained = np.linalg.solve(damped, grams[:, pose, last, None])[..., 0]
@@ -188,7 +190,8 @@ def _independent(views: Views, grams: Array, before: Array) -> Array:
 
 
 def _mean_squares(views: Views, grams: Array, noise: ViewNoise, weights: Weights) -> Array:
-    """Expected squares (3,) of the views' rotations, shifts and delays, divided by the variances in ``noise``."""
+    """Return the expected squares (3,) of the views' rotations, shifts and delays, divided by the variances in
+    ``noise``."""
     std = noise.shared_std
     total, count = np.zeros(SHARED), 0
     pose, last = BOARD_PARAMETERS, BOARD_PARAMETERS + SHARED

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 ROUNDS = 10
 STEPS = 2
-"""Largest number of steps per round. The last adjustment has no limit on its steps."""
+"""Largest number of steps per round. The last adjustment has the larger limit of :func:`solve_rig`."""
 DAMPING = 1e-6
 """Initial damping factor of each round."""
 HUBER = 1.0
@@ -49,7 +49,7 @@ class Solution:
 def refine_rig(start: RigState, corners: Corners, frames: Sequence[int], free: Free, corner_px: Array) -> Solution:
     """Adjust a rig in rounds.
 
-    Each round estimates the motion of the board and the standard deviations of the errors again.
+    Each round re-estimates the motion of the board and the standard deviations of the errors.
 
     Args:
         start: a rig whose reprojection errors are at most a few pixels.
@@ -74,7 +74,7 @@ def refine_rig(start: RigState, corners: Corners, frames: Sequence[int], free: F
 
 
 def with_motion(state: RigState, frames: Sequence[int]) -> RigState:
-    """The rig with the motion of the board, computed from the board's positions."""
+    """Return the rig with the motion of the board, computed from the board's positions."""
     if state.timing is None:
         return state
     return replace(state, timing=replace(state.timing, motion=board_motion(frames, state.boards)))
@@ -92,6 +92,6 @@ def _improve(state: RigState, corners: Corners, noise: ViewNoise, floor: ViewNoi
 
 
 def _largest_change(before: ViewNoise, after: ViewNoise) -> float:
-    """Largest relative change of a standard deviation."""
+    """Return the largest relative change of a standard deviation."""
     pairs = [np.concatenate([noise.corner_px, noise.shared_std]) for noise in (before, after)]
     return float(np.abs(np.log((pairs[1] + 1e-12) / (pairs[0] + 1e-12))).max())

@@ -73,14 +73,14 @@ class Poses:
         return Poses(self.rotation[index], self.translation[index])
 
     def after(self, first: Poses) -> Poses:
-        """Composed motions: ``first`` is applied before the motions of this object."""
+        """Return the composed motions, which apply ``first`` before the motions of this object."""
         return Poses(
             self.rotation @ first.rotation,
             (self.rotation @ first.translation[..., None])[..., 0] + self.translation,
         )
 
     def inverse(self) -> Poses:
-        """The inverse motions."""
+        """Return the inverse motions."""
         back = np.swapaxes(self.rotation, 1, 2)
         return Poses(back, -(back @ self.translation[..., None])[..., 0])
 
@@ -107,11 +107,11 @@ class Timing:
     motion: Array
 
     def offsets(self, corners: Corners) -> Array:
-        """Times (N,) at which corners are seen, in frames relative to the time of the corner's frame."""
+        """Return the times (N,) at which corners are seen, in frames relative to the time of the corner's frame."""
         return self.delay[corners.camera] + self.readout[corners.camera] * self.phases(corners)
 
     def phases(self, corners: Corners) -> Array:
-        """Readout phase (N,) of each corner: -0.5 at one edge of the sensor, 0.5 at the opposite edge."""
+        """Return the readout phase (N,) of each corner: -0.5 at one edge of the sensor, 0.5 at the opposite edge."""
         return np.asarray(np.einsum("ni,ni->n", corners.pixels, self.phase[corners.camera]) - 0.5)
 
 
@@ -175,7 +175,8 @@ class Projection:
 
 
 def collect_corners(board: CalibrationBoard, views: Sequence[BoardView], frames: Sequence[int]) -> Corners:
-    """Collect the corners of the views in ``frames``. The index of a board's pose is the index of its frame."""
+    """Collect the corners of the views in ``frames``. The index of a board's pose is the index of its frame in
+    ``frames``."""
     index = {frame: number for number, frame in enumerate(frames)}
     used = [view for view in views if view.frame in index]
     counts = [len(view.corners) for view in used]
@@ -228,7 +229,7 @@ def project(state: RigState, corners: Corners) -> Projection:
 
 
 def _shaped(state: RigState, corners: Corners) -> Array:
-    """Positions (N, 3) of corners on a board that need not be flat."""
+    """Return the positions (N, 3) of corners on a board that need not be flat."""
     if state.shape is None:
         return corners.xyz
     xyz = corners.xyz + state.shape.offsets_m[corners.ids]
@@ -237,8 +238,8 @@ def _shaped(state: RigState, corners: Corners) -> Array:
 
 
 def _apply_lenses(cameras: Sequence[Camera], camera: NDArray[np.intp], in_camera: Array) -> tuple[Array, Array, Array]:
-    """Pixels (N, 2) of points, and two arrays of derivatives of the pixels: (N, 2, 3) with respect to the points, and
-    (N, 2, 9) with respect to the lenses."""
+    """Return the pixels (N, 2) of points, and two arrays of derivatives of the pixels: (N, 2, 3) with respect to the
+    points, and (N, 2, 9) with respect to the lenses."""
     count = len(in_camera)
     safe = in_camera.copy()
     safe[:, 2] = np.maximum(in_camera[:, 2], MIN_DEPTH)
@@ -258,16 +259,14 @@ def _apply_lenses(cameras: Sequence[Camera], camera: NDArray[np.intp], in_camera
 
 
 def reprojection_errors(state: RigState, corners: Corners) -> Array:
-    """Distances (N,) in pixels between projections and observations.
-
-    The distance is infinite for points behind the camera.
-    """
+    """Return the distances (N,) in pixels between projections and observations; infinite behind the camera."""
     found = project(state, corners)
     return np.where(found.depth > MIN_DEPTH, np.linalg.norm(found.pixels - corners.pixels, axis=1), np.inf)
 
 
 def lens_vector(camera: Camera) -> Array:
-    """A camera's lens as (9,) fx, fy, cx, cy, k1, k2, p1, p2, k3. Further coefficients are left out."""
+    """Return a camera's lens as an array (9,): fx, fy, cx, cy, k1, k2, p1, p2, k3. Further coefficients are left
+    out."""
     k, distortion = camera.intrinsics, np.zeros(5)
     if camera.distortion is not None:
         distortion[: min(5, len(camera.distortion))] = camera.distortion[:5]
@@ -275,7 +274,7 @@ def lens_vector(camera: Camera) -> Array:
 
 
 def cross_matrices(vectors: Array) -> Array:
-    """Cross-product matrices (N, 3, 3) of vectors v (N, 3): the matrix of v times a vector u is v x u."""
+    """Return the cross-product matrices (N, 3, 3) of vectors v (N, 3): the matrix of v times a vector u is v x u."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], axis=1)

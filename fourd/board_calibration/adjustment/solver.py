@@ -2,8 +2,8 @@
 
 The solver is the Levenberg-Marquardt algorithm. Iteratively reweighted least squares implement the Huber loss. The
 shared errors of each view and the poses of the board are eliminated by Schur complements (Triggs et al., Bundle
-Adjustment - a Modern Synthesis, 2000, sec. 6.1). The computing time therefore grows linearly with the number of frames.
-The covariance of the cameras' parameters is computed from the matrix of the reduced normal equations.
+Adjustment - a Modern Synthesis, 2000, sec. 6.1), so the computing time grows linearly with the number of frames. The
+covariance of the cameras' parameters is computed from the matrix of the reduced normal equations.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ PRIOR_ASPECT = 0.005
 have square pixels.
 """
 PRIOR_CENTRE = 0.015
-"""Standard deviation of the prior on the principal point, as a share of the image's longer side. The mean of the prior
-is the image's centre.
+"""Standard deviation of the prior on the principal point, as a fraction of the image's longer side. The mean of the
+prior is the image's centre.
 """
 PRIOR_DISTORTION = np.array([0.3, 0.3, 0.005, 0.005, 0.3])
 """Standard deviations of the prior on k1, k2, p1, p2 and k3, whose mean is 0. Without a prior, some combinations of the
@@ -84,7 +84,7 @@ def solve_rig(
     Args:
         start: initial rig, with the corners in front of the cameras.
         corners: observations.
-        free: parameters that are adjusted. One camera's pose should be fixed, because turning all cameras and boards
+        free: parameters that are adjusted. One camera's pose should be fixed, because moving all cameras and boards
             together would not change the cost.
         errors: model of the corners' errors.
         steps: largest number of steps.
@@ -134,7 +134,8 @@ def move(state: RigState, free: Free, shared: Array, boards: Array) -> RigState:
 
 
 def _weigh(state: RigState, corners: Corners, views: Views, errors: Errors) -> tuple[Weights, Array]:
-    """Weights of the corners and views, and derivatives (N, 2, 7) with respect to the views' shared errors."""
+    """Return the weights of the corners and views, and the derivatives (N, 2, 7) with respect to the views' shared
+    errors."""
     found = project(state, corners)
     shared = shared_derivatives(state, corners, found)
     residual = corners.pixels - found.pixels
@@ -162,7 +163,8 @@ def _with_prior(system: System, state: RigState, free: Free) -> System:
 
 
 def _prior(state: RigState, free: Free) -> tuple[Array, Array]:
-    """Precision matrix (P, P) of the prior, and differences (P,) of the parameters from the prior's mean."""
+    """Return the precision matrix (P, P) of the prior, and the differences (P,) of the parameters from the prior's
+    mean."""
     count = len(state.cameras) * PARAMETERS
     size = count + free.shape_unknowns
     precision, offset = np.zeros((size, size)), np.zeros(size)
@@ -170,7 +172,7 @@ def _prior(state: RigState, free: Free) -> tuple[Array, Array]:
         start, mask = index * PARAMETERS, free.cameras[index]
         if mask[LENS].all():
             lens = lens_vector(camera)
-            # log(fx / fy) is approximated by (fx - fy) / f. f is the mean of fx and fy, and is treated as a constant.
+            # log(fx / fy) is approximated by (fx - fy) / f, where f, the mean of fx and fy, is treated as a constant.
             aspect = np.zeros(PARAMETERS)
             aspect[LENS][:2] = np.array([1, -1]) / (PRIOR_ASPECT * lens[:2].mean())
             centre = PRIOR_CENTRE * max(camera.width, camera.height)
@@ -195,15 +197,16 @@ def _prior(state: RigState, free: Free) -> tuple[Array, Array]:
 
 
 def standard_deviations(state: RigState, corners: Corners, free: Free, errors: Errors) -> Array:
-    """Standard deviations (C, 17) of the cameras' parameters, in radians, metres, pixels, frames or without unit.
+    """Return the standard deviations (C, 17) of the cameras' parameters, in radians, metres, pixels, frames or without
+    unit.
 
     Fixed parameters have a standard deviation of 0.
 
-    The covariance is H^-1 G H^-1. H is the matrix of the reduced normal equations. G is the sum of the outer products
-    of the frames' gradients, divided by c^2, plus the precision of the prior (sandwich estimate with clusters, Liang
-    and Zeger 1986). c is the ratio of the Huber loss's mean curvature to the mean weight (Huber, Robust Statistics,
-    1981, sec. 7.6). The estimate remains valid if errors are correlated within a frame, or larger than the error model
-    assumes.
+    The covariance is the sandwich estimate H^-1 G H^-1 with frames as clusters (Liang and Zeger 1986). H is the matrix
+    of the reduced normal equations. G is the sum of the outer products of the frames' gradients, divided by c^2, plus
+    the precision of the prior. The factor c is the Huber loss's mean curvature divided by the mean weight (Huber,
+    Robust Statistics, 1981, sec. 7.6). The estimate remains valid if errors are correlated within a frame, or larger
+    than the error model assumes.
     """
     views = group_views(corners)
     weights, _ = _weigh(state, corners, views, errors)
@@ -213,8 +216,8 @@ def standard_deviations(state: RigState, corners: Corners, free: Free, errors: E
     scale = 1 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
     inverse = np.linalg.pinv(reduced * np.outer(scale, scale), rcond=1e-14, hermitian=True) * np.outer(scale, scale)
     scores = plain.gradients - np.einsum("fij,fj->fi", eliminated, plain.rhs_boards)
-    # The prior's gradient is ``precision`` times the offset from the prior's mean. This mean is uncertain, so the
-    # gradient has the covariance ``precision``, which is added.
+    # The prior's mean is uncertain, so the prior's gradient, ``precision`` times the offset from the mean, has the
+    # covariance ``precision``, which is added.
     precision, _ = _prior(state, free)
     covariance = inverse @ (scores.T @ scores / _curvature(weights.corner) ** 2 + precision) @ inverse
     variance = np.diag(covariance)[: free.cameras.size].reshape(free.cameras.shape)
@@ -222,7 +225,7 @@ def standard_deviations(state: RigState, corners: Corners, free: Free, errors: E
 
 
 def _curvature(weights: Array) -> float:
-    """Mean curvature of the Huber loss of two-dimensional errors, divided by the mean weight.
+    """Return the mean curvature of the Huber loss of two-dimensional errors, divided by the mean weight.
 
     For errors larger than the scale of the loss, the curvature is 0 in the direction of the error, and equal to the
     weight in the perpendicular direction.

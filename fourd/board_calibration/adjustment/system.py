@@ -1,4 +1,4 @@
-"""Normal equations of a rig: a sum over views. In each view, the errors that all its corners share are eliminated.
+"""Normal equations of a rig, summed over views. The errors that all corners of a view share are eliminated per view.
 
 The unknowns are the C cameras (17 parameters each), the shape of a board with K corners (3 * K + 1 parameters) and the
 F positions of the board (6 parameters each).
@@ -62,8 +62,8 @@ class System:
     gradients: Array
 
     def step(self, damping: float) -> tuple[Array, Array]:
-        """Steps (P,) of the shared unknowns and steps (F, 6) of the boards. The diagonals of the normal equations are
-        multiplied by 1 + ``damping``."""
+        """Solve the damped normal equations, whose diagonals are multiplied by 1 + ``damping``. Returns the steps (P,)
+        of the shared unknowns and the steps (F, 6) of the boards."""
         reduced, eliminated = self.reduce(damping)
         rhs = self.rhs_shared - np.einsum("fij,fj->i", eliminated, self.rhs_boards)
         step = np.linalg.solve(reduced, rhs)
@@ -72,13 +72,13 @@ class System:
         return step, np.einsum("fij,fj->fi", inverse, rest)
 
     def predicted_decrease(self, shared: Array, boards: Array) -> float:
-        """Scalar product of a step and the right-hand side. The cost's quadratic model decreases by at least this value
-        in the step."""
+        """Return the scalar product of a step and the right-hand side: a lower bound on the decrease of the cost's
+        quadratic model in the step."""
         return float(self.rhs_shared @ shared + np.sum(self.rhs_boards * boards))
 
     def reduce(self, damping: float) -> tuple[Array, Array]:
-        """Matrix (P, P) of the reduced normal equations, and products (F, P, 6) of the coupling blocks with the inverse
-        blocks of the boards."""
+        """Return the matrix (P, P) of the reduced normal equations, and the products (F, P, 6) of the coupling blocks
+        with the inverse blocks of the boards."""
         eliminated = self.coupling @ np.linalg.inv(_damped(self.boards, damping))
         size = len(self.shared)
         left = np.swapaxes(eliminated, 0, 1).reshape(size, -1)
@@ -120,7 +120,7 @@ def build_system(
         if extra:
             padded = np.concatenate([_shape_columns(by_corner, corners, views, free, which), padded], axis=2)
         _add_views(system, _eliminate(padded, std, weights.view[which]), views.camera[which], views.board[which], extra)
-    # Without this summand, the block of a board without observations would be singular.
+    # This summand keeps the block of a board without observations from being singular.
     system.boards[:] += 1e-9 * np.eye(BOARD_PARAMETERS)
     return system
 
@@ -128,7 +128,7 @@ def build_system(
 def squared_error(
     residual: Array, shared: Array, views: Views, noise: ViewNoise, weights: Weights, scale: Array
 ) -> float:
-    """Weighted sum of squares of the residuals (N, 2), minimised over the shared errors of each view.
+    """Return the weighted sum of squares of the residuals (N, 2), minimised over the shared errors of each view.
 
     ``shared`` (N, 2, 7) are the derivatives with respect to the shared errors. ``scale`` (N,) are the square roots of
     the weights, divided by the standard deviations of the corners.
@@ -144,8 +144,8 @@ def squared_error(
 
 
 def _eliminate(padded: Array, std: Array, weight: Array) -> Array:
-    """Gram matrices (V, Q, Q) of the first Q of the Q + 7 columns of ``padded``. The last seven columns belong to the
-    shared errors, which are eliminated."""
+    """Return the Gram matrices (V, Q, Q) of the first Q of the Q + 7 columns of ``padded``, after eliminating the
+    shared errors, to which the last seven columns belong."""
     kept = padded[..., :-SHARED]
     gram = np.swapaxes(kept, 1, 2) @ kept
     if not std.any():
@@ -157,8 +157,8 @@ def _eliminate(padded: Array, std: Array, weight: Array) -> Array:
 
 
 def _add_views(system: System, grams: Array, cameras: NDArray[np.intp], boards: NDArray[np.intp], extra: int) -> None:
-    """Add the Gram matrices (V, Q, Q) of views to ``system``. The columns of a Gram matrix are the unknowns of the
-    board's shape, of the camera and of the board's pose, and the residual."""
+    """Add the Gram matrices (V, Q, Q) of views to ``system``. The columns of a Gram matrix belong to the unknowns of
+    the board's shape, of the camera and of the board's pose, and to the residual."""
     own = slice(extra, extra + PARAMETERS)
     pose = slice(own.stop, own.stop + BOARD_PARAMETERS)
     last, shape = pose.stop, slice(0, extra)
@@ -184,7 +184,7 @@ def _add_views(system: System, grams: Array, cameras: NDArray[np.intp], boards: 
 
 
 def _shape_columns(by_corner: Array, corners: Corners, views: Views, free: Free, which: slice) -> Array:
-    """The columns (V, 2 * M, 3 * K + 1) of the Jacobian that belong to the board's shape."""
+    """Return the columns (V, 2 * M, 3 * K + 1) of the Jacobian that belong to the board's shape."""
     rows = views.rows[which]
     count = len(corners.ids)
     columns = np.zeros((*rows.shape, 2, free.shape_unknowns))

@@ -33,15 +33,15 @@ Picture = NDArray[np.uint8]
 FEW_CAMERAS = 5
 FEW_CAMERAS_FRAMES = 3
 MAX_PICTURE_PIXELS = 2.1e6
-"""Maximum number of pixels per image. Images with more pixels are reduced."""
+"""Maximum number of pixels per image. Larger images are reduced."""
 MAX_FRAME_PIXELS = 12e6
-"""Maximum total number of pixels of one frame's images from all cameras. Above this maximum, all images are reduced.
+"""Maximum total number of pixels in all cameras' images of one frame. If there are more, all images are reduced.
 
-The maximum limits the time of the check to a few seconds for a ring of cameras.
+This limits the time of the check to a few seconds for a ring of cameras.
 """
 MIN_SHARE = 0.5
-"""Minimum share of matches within 3 pixels of their epipolar lines. Even with a correct calibration, a third of the
-matches can be wrong."""
+"""Minimum fraction of matches within 3 pixels of their epipolar lines. It is below 2/3, because even with a correct
+calibration, a third of the matches can be wrong."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +64,12 @@ class Agreement:
     """Result of the check of a calibration.
 
     Attributes:
-        score: median residual and share of agreeing matches, or None if no camera pair has enough matches.
+        score: median residual and fraction of agreeing matches, or None if no camera pair has enough matches.
         worst: name of the camera with the largest residual, and its residual in pixels, or None if no camera pair has
             enough matches.
         pairs: number of camera pairs with enough matches.
         matches: total number of matches.
-        mixups: one line for each view with upside-down images, and for each pair of cameras with exchanged
+        mixups: one line for each camera with upside-down images, and one for each pair of cameras with exchanged
             calibrations.
         warnings: the lines of ``mixups``. If ``mixups`` is empty, one line for each camera that disagrees with the
             others, or one line if all cameras disagree.
@@ -86,7 +86,7 @@ class Agreement:
 def match_capture(path: Path | str, track: Track | None = None) -> CaptureMatches:
     """Match the cameras of a capture.
 
-    With up to 5 cameras, 3 frames are matched. With more cameras, only the middle frame is matched.
+    For up to 5 cameras, 3 frames are matched; for more cameras, only the middle frame.
 
     Args:
         path: the capture's folder.
@@ -118,8 +118,8 @@ def match_capture(path: Path | str, track: Track | None = None) -> CaptureMatche
 def _match_unmatched(
     pictures: Sequence[Picture], cameras: Sequence[Camera], matches: Mapping[Pair, Matches]
 ) -> dict[Pair, Matches]:
-    """Match each camera without matches again, with all other cameras. A camera without matches may have a wrong
-    calibration, so that its neighbours were chosen wrongly.
+    """Match each camera without matches again, this time with all other cameras, because its calibration may be so
+    wrong that its neighbours were chosen wrongly.
 
     Nothing is done if exactly one camera has no matches, or if more than a quarter of all cameras have no matches.
     """
@@ -163,5 +163,5 @@ def assess_agreement(path: Path | str, found: CaptureMatches) -> Agreement:
 
 
 def is_disagreeing(score: MatchScore) -> bool:
-    """Whether most matches contradict the calibration."""
+    """Return whether most matches contradict the calibration."""
     return score.median_px > MAX_GOOD_PX or score.share < MIN_SHARE

@@ -1,4 +1,4 @@
-"""Robust summary of epipolar residuals: the median, and the share of matches with small residuals."""
+"""Robust summary of epipolar residuals: the median, and the fraction of matches with small residuals."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from fourd.cameras import Camera
 class MatchScore:
     """Summary of the distances of matches from their epipolar lines.
 
-    The median is used instead of the mean. If the cameras are 90 degrees apart, a third of the feature matches can be
-    wrong, and these matches affect the mean distance more than the calibration does.
+    The median is used instead of the mean, because a third of the feature matches can be wrong if the cameras are 90
+    degrees apart, and these affect the mean distance more than the calibration does.
 
     Attributes:
-        median_px: median distance in pixels, or NaN without matches.
-        share: share of the matches within 3 pixels of their epipolar lines, in [0, 1], or 0 without matches.
+        median_px: median distance in pixels, or NaN if there are no matches.
+        share: fraction of the matches within 3 pixels of their epipolar lines, or 0 if there are no matches.
         count: number of matches.
     """
 
@@ -34,7 +34,7 @@ class MatchScore:
 
 
 def score_matches(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> MatchScore:
-    """Score ``cameras`` with matches that are given in pixels of the distorted images."""
+    """Score ``cameras`` with matches in pixels of the distorted images."""
     parts = [np.abs(epipolar_distances(found, cameras[i], cameras[j])) for (i, j), found in matches.items()]
     distances = np.concatenate([np.zeros(0), *parts])
     if not len(distances):

@@ -1,7 +1,7 @@
-"""Detection of two mistakes in captures: cameras with exchanged calibrations, and views with upside-down images.
+"""Detection of two mistakes in captures: cameras with exchanged calibrations, and cameras with upside-down images.
 
-A hypothesis assumes one of the two mistakes for one or two cameras, and corrects the mistake. A hypothesis is accepted
-if the cameras' matches have large residuals with the given calibration, and small residuals after the correction.
+A hypothesis assumes one of the two mistakes for one or two cameras, and corrects it. It is accepted if these cameras'
+matches have large residuals with the given calibration and small residuals after the correction.
 """
 
 from __future__ import annotations
@@ -19,10 +19,9 @@ from fourd.cameras import Camera
 
 MIN_MATCHES = 16
 MIN_SHARE = 0.6
-"""Minimum share of matches with small residuals after the correction of an accepted hypothesis."""
+"""Minimum fraction of matches with small residuals after the correction of an accepted hypothesis."""
 MAX_SHARE_RATIO = 0.6
-"""Maximum share of matches with small residuals before the correction, as a multiple of the share after the
-correction."""
+"""Maximum ratio between the fractions of matches with small residuals before and after the correction."""
 MAX_MIXUPS = 4
 MAX_SUSPECTS = 8
 
@@ -42,7 +41,7 @@ class Mixup:
     after: MatchScore
 
     def describe(self, names: Sequence[str]) -> str:
-        """One line with the cameras' names, the evidence and the fix."""
+        """Return one line with the cameras' names, the evidence and the fix."""
         chosen = [names[index] for index in self.cameras]
         if len(chosen) == 1:
             return (
@@ -75,7 +74,7 @@ def find_mixups(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> l
 
 
 def suspects(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> list[int]:
-    """Indices of the cameras for which most matches have large residuals. The camera with the largest residuals comes
+    """Return the indices of the cameras for which most matches have large residuals, those with the largest residuals
     first."""
     shares = []
     for index in range(len(cameras)):

@@ -26,21 +26,20 @@ DEFAULT_SECONDS = 120.0
 
 @dataclass(frozen=True)
 class Arguments:
-    """Soft triangles start on the visual hull of the mattes and are fitted to the images. During fitting, the triangles
-    become opaque and sharp-edged. Finally, the triangles are connected to form a closed mesh with one colour per
-    vertex."""
+    """Soft triangles start on the visual hull of the mattes and are fitted to the images. During fitting, they become
+    opaque and sharp-edged. Finally, they are connected to form a closed mesh with one colour per vertex."""
 
     capture: CapturePath
     """Capture folder with masks/ or the output of fourd matte."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE")]
-    """Mesh to write. A .glb file has an unlit material, metres as unit and the y axis up. A .ply file has world
+    """Mesh to write. A .glb file is in metres, with the y axis up and an unlit material. A .ply file keeps the world
     coordinates."""
     frame: int = 0
     """Index of the frame in the capture, from 0."""
     views: Views = None
     test_views: Annotated[str | None, option("NAME,NAME", "none")] = None
-    """Names of held-out cameras, separated by commas. The mesh does not depend on held-out cameras. The scores of the
-    mesh in the held-out views are printed."""
+    """Names of held-out cameras, separated by commas. They are not used to fit the mesh; its scores in their views are
+    printed."""
     scale: float = 1.0
     """Scale factor of the images. A factor of 0.5 halves width and height."""
     triangles: int = TriangleSettings.triangles

@@ -68,7 +68,7 @@ class Arguments:
     copy: bool = False
     """Copy the files of SRC instead of linking to them."""
     unpack: bool = False
-    """Write the frames of videos as JPEG images. Random access is faster for images than for frames of videos."""
+    """Write the video frames as JPEG images, which allow faster random access than videos."""
     offset: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]],
         tyro.conf.arg(metavar="CAM=FRAMES", help=OFFSET_HELP, help_behavior_hint="(repeatable)"),
@@ -77,8 +77,8 @@ class Arguments:
     """Estimate the videos' time offsets and print them, but do not apply them. If the estimate uses motion, a plot is
     written to OUT/.fourd/sync.png."""
     apply_sync: bool = False
-    """Estimate the videos' time offsets. Apply each offset that has a confidence of at least 0.5. Offsets from motion
-    are applied only if they exceed 3 frames."""
+    """Estimate the videos' time offsets, and apply those with a confidence of at least 0.5. Offsets that are estimated
+    from motion must also exceed 3 frames."""
     sync_by: Annotated[
         SyncMethod,
         describe(
@@ -106,7 +106,7 @@ class Arguments:
     ] = "auto"
     calibration: Annotated[Path | None, option("FOLDER", "none", CALIBRATION_HELP)] = None
     calibrate: bool = False
-    """Calibrate the cameras from the images, and ignore a calibration in SRC."""
+    """Calibrate the cameras from the images, and ignore any calibration in SRC."""
     calibrated_frames: Annotated[
         CalibratedFrames,
         describe(
@@ -185,7 +185,8 @@ def _sound_position(text: str) -> SoundPosition:
 
 
 def _scale(words: Sequence[str]) -> tuple[Distance | None, float]:
-    """Parse the values of --scale to a known distance (or None) and a scale factor of the frames."""
+    """Parse the values of --scale. Returns the known distance between two cameras, or None, and the scale factor of the
+    frames."""
     distances = [_distance(word) for word in words if "=" in word or "," in word]
     factors = [word for word in words if "=" not in word and "," not in word]
     if len(distances) > 1 or len(factors) > 1:

@@ -1,4 +1,5 @@
-"""Make mattes and clean plates for a capture without masks, and a contact sheet for checking the mattes."""
+"""Make mattes and clean plates (images of the background without the subject) for a capture without masks, and a
+contact sheet for checking the mattes."""
 
 from __future__ import annotations
 
@@ -47,14 +48,14 @@ class MatteOptions:
     """ONNX file for --method onnx: Robust Video Matting, or a network with one image input and one mask output. The
     package fourd[onnx] must be installed."""
     masks: Annotated[Path | None, option("FOLDER", "none")] = None
-    """Folder with CAM/FRAME.png for --method masks. The masks are aligned with the recorded images."""
+    """Folder with CAM/FRAME.png for --method masks. The masks must be aligned with the recorded images."""
     paint: Annotated[
         tuple[str, ...],
         tyro.conf.arg(metavar="CAM:FRAME=FILE.png", help_behavior_hint="(repeatable)"),
         tyro.conf.UseAppendAction,
     ] = ()
-    """Correct the mattes of --method motion with a painted image. White is the subject, black is the background, grey
-    and transparent pixels are unknown. The correction spreads to neighbouring frames and to the other views."""
+    """Correct the mattes of --method motion with a painted image. Paint the subject white and the background black;
+    grey and transparent pixels are unknown. The correction spreads to neighbouring frames and to the other views."""
 
     @property
     def is_given(self) -> bool:
@@ -87,7 +88,7 @@ class Arguments:
     seed: int = 0
     """Random seed."""
     plates: bool = True
-    """In addition to mattes, make clean plates: images of the background without the subject."""
+    """In addition to mattes, make clean plates (images of the background without the subject)."""
 
 
 def run(arguments: Arguments) -> None:

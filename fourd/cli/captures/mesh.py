@@ -39,25 +39,25 @@ class Arguments:
     """
 
     source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CAPTURE|RUN")]]
-    """A capture folder that contains masks/ or the output of fourd matte, or a run folder. For a run folder, the meshes
-    are made from the run's capture, with the views, frames and refined cameras of the run."""
+    """A run folder, or a capture folder with masks/ or the output of fourd matte. For a run folder, the meshes are made
+    from the run's capture, with the views, frames and refined cameras of the run."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="DIR")]
     """Folder to write the meshes to."""
     views: Annotated[str | None, option("NAME,NAME", "all", VIEWS_HELP)] = None
     frames: Annotated[str | None, option("A:B[:S]", "all", FRAMES_HELP)] = None
     test_views: Annotated[str | None, option("NAME,NAME", "none, or the held-out views of the run")] = None
-    """Names of held-out cameras, separated by commas. The meshes do not depend on held-out cameras. The meshes are
-    compared with the images of the held-out cameras, and the scores are written to scores.json."""
+    """Names of held-out cameras, separated by commas. The meshes are made without these cameras and compared with their
+    images. The scores are written to scores.json."""
     scale: Annotated[float | None, option("FLOAT", "1, or the scale of the run")] = None
     """Scale factor of the images. A factor of 0.5 halves width and height."""
     cells: int = MeshSettings.cells
-    """Number of grid cells along the longest side of the subject. The number of triangles is proportional to the square
-    of the number of cells. The computing time grows at least as fast as the number of triangles."""
+    """Number of grid cells along the longest side of the subject. The number of triangles grows with the square of this
+    number, and the computing time grows at least as fast."""
     steps: int = FitSettings.steps
-    """Number of gradient-descent steps per frame. With 0, the meshes are the visual hulls."""
+    """Number of gradient-descent steps per frame. If it is 0, the meshes are the visual hulls."""
     remesh: float = MeshSettings.remesh
-    """Edge length, in grid cells, of the nearly equilateral triangles that replace the triangles of the grid. 0 keeps
-    the triangles of the grid. Remeshing needs the package gpytoolbox (pip install 'fourd[mesh]')."""
+    """Remesh to nearly equilateral triangles with this edge length, in grid cells. 0 keeps the triangles of the grid.
+    Remeshing needs the package gpytoolbox (pip install 'fourd[mesh]')."""
     texture_size: int = MeshSettings.texture_size
     """Width and height of the textures in texels."""
     format: MeshFormat = MeshSettings.format
@@ -111,8 +111,8 @@ def _settings(arguments: Arguments) -> MeshSettings:
 
 
 def _source(arguments: Arguments) -> tuple[Path, DataSelection, Path | None]:
-    """The capture's folder, the selected views and frames, and the run whose cameras replace the cameras of the
-    capture."""
+    """Return the capture folder, the selected views and frames, and the run whose refined cameras replace the capture's
+    cameras, or None."""
     source, chosen = arguments.source, DataSelection()
     capture, run_folder = source, None
     if (source / CONFIG_NAME).is_file():

@@ -37,8 +37,8 @@ PLATES_HELP = (
 
 @dataclass(frozen=True)
 class Arguments:
-    """The command prints mean PSNR, SSIM and LPIPS, for whole images and inside the matte's bounding box. For a full
-    scene, the command also prints the PSNR of the pixels whose surface is visible in a training view."""
+    """The command prints mean PSNR, SSIM and LPIPS, for whole images and inside the matte's bounding box. For a scene
+    with background, it also prints the PSNR of the pixels whose surface is visible in a training view."""
 
     run: RunPath
     """Run folder."""
@@ -47,14 +47,12 @@ class Arguments:
     views: Annotated[str | None, option("NAME,NAME", "the held-out views")] = None
     """Names of the cameras to evaluate, separated by commas."""
     scene: Annotated[Path | None, option("SCENE.4dv", "none")] = None
-    """Scene file exported from the run. Images rendered from the scene file are evaluated instead of images of the
-    run's model."""
+    """Evaluate this scene file, which was exported from the run, instead of the run's model."""
     plates: Annotated[Path | None, option("DIR", "none", PLATES_HELP)] = None
     refine_test: bool = False
-    """Before evaluation, fit the pose of each evaluated camera to the camera's images, as in BARF. The scene is not
-    changed."""
+    """Before evaluation, fit the pose of each evaluated camera to its images, as in BARF. The scene is not changed."""
     refine_test_colours: bool = False
-    """With --refine-test, also fit an affine colour correction of each evaluated camera to the camera's images."""
+    """With --refine-test, also fit an affine colour correction of each evaluated camera to its images."""
     lpips_weights: LpipsWeights = None
 
 
@@ -119,7 +117,7 @@ def _fit_cameras(
 ) -> dict[int, FittedView]:
     """Fit each evaluated camera to its own images.
 
-    Returns the fitted cameras, keyed by camera index. Without --refine-test, no camera is fitted.
+    Returns the fitted cameras, keyed by camera index. The result is empty without --refine-test.
     """
     if arguments.refine_test_colours and not arguments.refine_test:
         raise UserError(
@@ -144,8 +142,8 @@ def _fit_cameras(
 def _covisible_masks(
     trained: TrainedRun | SegmentedRun, indices: list[int], fitted: dict[int, FittedView], console: Console
 ) -> dict[int, NDArray[np.bool_]]:
-    """For each evaluated camera of a full scene, the mask (H, W) of the pixels whose background is visible in a
-    training view. For an object scene, the result is empty."""
+    """Return, for each evaluated camera of a scene with background, the mask (H, W) of the pixels whose background is
+    visible in a training view. For a scene without background, the result is empty."""
     if isinstance(trained, SegmentedRun) or trained.renderer.background is None:
         return {}
     cameras = {i: fitted[i].camera if i in fitted else trained.run.capture.cameras[i] for i in indices}

@@ -25,8 +25,8 @@ from fourd.storage import local_output, local_path
 from fourd.training.points.scratch import Scratch
 
 SCRATCH = ".export"
-"""Name of a temporary folder beside the output. The run is baked into this folder, and the baked scene is then
-exported."""
+"""Name of a temporary folder beside the output. With --to, a run is first baked into this folder, and the baked scene
+is then exported."""
 
 
 @dataclass(frozen=True)

@@ -34,9 +34,9 @@ from fourd.training.run_layout import SOURCE
 
 @dataclass(frozen=True)
 class Arguments:
-    """Before training, the command adjusts the cameras, carves the initial points and seeds the background, as the
-    options require. Use --resume to continue interrupted training. To train with several processes, write: torchrun
-    --nproc-per-node 2 -m fourd train CAPTURE -o RUN."""
+    """Before training, the command adjusts the cameras, carves the initial points and makes initial background points,
+    if the options require it. Use --resume to continue interrupted training. To train with several processes, write:
+    torchrun --nproc-per-node 2 -m fourd train CAPTURE -o RUN."""
 
     capture: CaptureLocation
     """Capture folder: images/ or videos/, intri.yml, extri.yml, and masks/ or the output of fourd matte. A URL such as

@@ -57,7 +57,7 @@ def run(arguments: Arguments) -> None:
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     for name, value in rows:
-        # An object in a store is read from a local copy, whose path the user does not know.
+        # An object in a store is read from a local copy. Show its URL, because the user does not know the copy's path.
         table.add_row(name, Text(value.replace(str(path), location)))
     Terminal().print(table)
 
@@ -236,7 +236,7 @@ def describe_video_in_child(name: str) -> Rows:
 
 
 def _turned_size(path: Path) -> str:
-    """The size of a video's upright frames, and the conversions that fourd applies to the frames."""
+    """Describe the size of a video's upright frames and the conversions that fourd applies to them."""
     from fourd.capture.video import first_frame
 
     width, height, turn, transfer = first_frame(path)
@@ -277,13 +277,13 @@ def _is_number(value: object) -> bool:
 
 
 def _entry(node: yaml.Node | None, key: str) -> yaml.Node | None:
-    """The value of a key of a YAML mapping, or None."""
+    """Return the value of a key in a YAML mapping, or None if there is no such key."""
     entries = node.value if isinstance(node, yaml.MappingNode) else []
     return next((value for name, value in entries if isinstance(name.value, str) and name.value == key), None)
 
 
 def _text(node: yaml.Node | None) -> str:
-    """The text of a YAML scalar, or of a list of scalars. The text is empty for null and for all other nodes."""
+    """Return the text of a YAML scalar, or of a list of scalars. The text is empty for null and for all other nodes."""
     if isinstance(node, yaml.SequenceNode):
         return _names(_text(item) for item in node.value if isinstance(item, yaml.ScalarNode))
     if not isinstance(node, yaml.ScalarNode) or node.value in ("null", "~"):

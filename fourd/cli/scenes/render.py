@@ -42,7 +42,8 @@ class Arguments:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for PNG files, or an .mp4 file."""
     views: Annotated[str | None, option("NAME,NAME", "none; --views or --path is required")] = None
-    """Names of the capture cameras to render from, separated by commas. For meshes, the names are side 1 to side 8."""
+    """Names of the capture cameras to render from, separated by commas. The cameras of meshes are named "side 1" to
+    "side 8"."""
     path: Annotated[
         Literal["orbit", "spiral", "cameras"] | None,
         option("{orbit,spiral,cameras}", "none; --views or --path is required"),
@@ -99,8 +100,8 @@ def _open(arguments: Arguments, source: Location) -> Playable:
 
 
 def _through_lens(arguments: Arguments, path: Location, playable: Playable, frames: list[int]) -> Playable:
-    """Return the scene as seen through the lens that the arguments describe. The mirror floor lies under the lowest
-    points that the subject has in the first and the middle rendered frame."""
+    """Return the scene as seen through the lens that the arguments describe. The mirror floor lies under the subject's
+    lowest points in the first and the middle rendered frame."""
     if arguments.style is not None:
         raise UserError("--style, --lens: expected one of them, got both; styles are not drawn through a lens")
     if isinstance(path, Path) and is_mesh(path):

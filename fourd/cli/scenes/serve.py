@@ -24,16 +24,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Arguments:
-    """Serves until Ctrl-C. If the scene is exported again, the page shows the new scene. The page of a run shows the
-    run's curves and pictures during training, and the scene of the newest checkpoint."""
+    """Serves until Ctrl-C. If the scene is exported again, the page shows the new scene. The page of a run shows its
+    training curves and images, and the scene of the newest checkpoint."""
 
     source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE|RUN|SITE")]]
     """A .4dv file, a run, or a folder that fourd web has written."""
     port: int = 8000
     """Port to listen on. 0 selects a free port."""
     host: str = "127.0.0.1"
-    """Address to listen on. 0.0.0.0 lets other machines connect. If other machines can connect, the page of a run needs
-    a token."""
+    """Address to listen on. Use 0.0.0.0 to let other machines connect. The page of a run needs a token if they can."""
     token: Annotated[
         str | None,
         option(

@@ -23,7 +23,7 @@ class Arguments:
     """Writes a folder of static files: a page, a poster image, the player and the scene."""
 
     scene: ScenePath
-    """The .4dv file to show, of any version. A packed scene keeps its tier, and --tier has no effect."""
+    """The .4dv file to show, of any version. A packed scene keeps its tier; --tier has no effect on it."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The folder to write. An earlier site in this folder is replaced."""
     tier: Annotated[Tier, describe(*TIER_HELP)] = "stream"
@@ -68,7 +68,7 @@ def run(arguments: Arguments) -> None:
 
 
 def _choose(scene: Path, max_mbps: float, track: Track) -> Choice:
-    """Choose the best level of an unpacked scene that a web page can play without pauses over a connection of
+    """Choose the best tier and level at which a web page can play an unpacked scene without pauses over a connection of
     ``max_mbps`` Mbit/s."""
     reader = SceneReader(scene)
     is_packed = reader.manifest.encoding is not None

@@ -31,7 +31,7 @@ MAX_PIXELS = 1 << 20
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source`` is a folder with ActorsHQ's calibration.csv."""
+    """Return whether ``source`` is a folder with ActorsHQ's calibration.csv."""
     return read_head(source / NAME, 64).lstrip(b"\xef\xbb\xbf").startswith(b"name,w,h,rx,")
 
 

@@ -21,7 +21,7 @@ from fourd.importing.opencv_toml import camera_of_table, read_toml
 
 KEYS = ("name", "size", "matrix", "distortions", "rotation", "translation")
 HEAD_BYTES = 4096
-"""This number of bytes at the start of a file is enough to contain the table of its first camera."""
+"""Number of bytes at the start of a file that always contain the table of its first camera."""
 METRES_PER_MM = 1e-3
 MAX_DISTANCE_M = 100.0
 """Largest plausible median distance between cameras in metres. A file with a larger median distance is assumed to be in
@@ -29,12 +29,12 @@ millimetres."""
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source`` is a calibration TOML, or a folder with one."""
+    """Return whether ``source`` is a calibration TOML, or a folder with one."""
     return bool(_find_files(source))
 
 
 def is_calibration(path: Path) -> bool:
-    """Whether ``path`` is a calibration TOML of Anipose, Pose2Sim or FreeMoCap."""
+    """Return whether ``path`` is a calibration TOML of Anipose, Pose2Sim or FreeMoCap."""
     return path.suffix.lower() == ".toml" and _has_cameras(read_head(path, HEAD_BYTES))
 
 
@@ -43,7 +43,7 @@ def read(source: Path, frames: Path | None = None) -> Imported:
 
     Args:
         source: the folder or the TOML.
-        frames: folder that contains the cameras' videos; with None, the folder of the TOML.
+        frames: folder that contains the cameras' videos, or None for the folder of the TOML.
 
     Raises:
         UserError: when there is no calibration TOML or more than one, the TOML is invalid, a value is missing or

@@ -26,12 +26,12 @@ POSE_KEYS = ("rotation", "translation")
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source`` is a camera_array.toml, or a folder with one."""
+    """Return whether ``source`` is a camera_array.toml, or a folder with one."""
     return is_calibration(_path(source))
 
 
 def is_calibration(path: Path) -> bool:
-    """Whether ``path`` is a TOML with Caliscope's tables [cameras.N]."""
+    """Return whether ``path`` is a TOML with Caliscope's tables [cameras.N]."""
     if path.suffix.lower() != ".toml":
         return False
     head = read_head(path, HEAD_BYTES)
@@ -43,7 +43,7 @@ def read(source: Path, frames: Path | None = None) -> Imported:
 
     Args:
         source: the folder or the TOML.
-        frames: folder that contains the cameras' videos; with None, the folder of the TOML.
+        frames: folder that contains the cameras' videos, or None for the folder of the TOML.
 
     Raises:
         UserError: when the TOML is invalid, a value is missing or invalid, a camera has intrinsics but no pose, a lens

@@ -25,7 +25,7 @@ from fourd.processes.isolation import ParserProcess
 
 MODEL_FOLDERS = (".", "sparse", "sparse/0")
 PHOTO_FOLDERS = ("images", "input", ".")
-"""Folders that may contain the photos CAM.jpg of a static scene. Earlier folders are preferred."""
+"""Folders that may contain the photos CAM.jpg of a static scene, in order of preference."""
 LENS_MODELS = {
     "SIMPLE_PINHOLE": (1, 0),
     "PINHOLE": (2, 0),
@@ -70,7 +70,7 @@ class _Photo:
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source``, or its subfolder sparse/ or sparse/0/, contains a model."""
+    """Return whether ``source``, or its subfolder sparse/ or sparse/0/, contains a model."""
     return _find_model(source) is not None
 
 
@@ -201,7 +201,7 @@ def read_in_child(name: str) -> dict[str, Any]:
 
 
 def _pose(image: Any) -> np.ndarray:
-    """World-to-camera matrix (3, 4). In pycolmap 3.12 and newer, ``cam_from_world`` is a method."""
+    """Return the world-to-camera matrix (3, 4). In pycolmap 3.12 and newer, ``cam_from_world`` is a method."""
     pose = image.cam_from_world
     return np.asarray((pose() if callable(pose) else pose).matrix(), np.float64)
 

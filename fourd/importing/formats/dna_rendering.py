@@ -22,7 +22,7 @@ GROUPS = ("Camera_5mp", "Camera_12mp")
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source`` is a file NAME.smc, or a folder with such a file."""
+    """Return whether ``source`` is a file NAME.smc, or a folder with such a file."""
     return any(read_head(path, len(MAGIC)) == MAGIC for path in _find_files(source))
 
 

@@ -23,12 +23,12 @@ MASK_FOLDERS = ("masks", "mask")
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source`` is a folder with intri.yml and extri.yml."""
+    """Return whether ``source`` is a folder with intri.yml and extri.yml."""
     return {INTRINSICS_NAME, EXTRINSICS_NAME} <= set(list_entries(source))
 
 
 def is_calibration(path: Path) -> bool:
-    """Whether ``path`` is an intri.yml beside an extri.yml."""
+    """Return whether ``path`` is an intri.yml beside an extri.yml."""
     return path.name == INTRINSICS_NAME and (path.parent / EXTRINSICS_NAME).is_file()
 
 
@@ -39,7 +39,7 @@ def read(source: Path, frames: Path | None = None) -> Imported:
 
     Args:
         source: the folder or intri.yml.
-        frames: folder that contains images/, videos/ and masks/; with None, the folder of the calibration.
+        frames: folder that contains images/, videos/ and masks/, or None for the folder of the calibration.
 
     Raises:
         UserError: when the calibration files are invalid, no camera with frames has a calibration, or an image has no

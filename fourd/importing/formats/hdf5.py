@@ -1,6 +1,7 @@
-"""HDF5 files with encoded images and matrices, which a child process reads.
+"""HDF5 files with encoded images and matrices, read in a child process.
 
-HDF5 is a complex format, and damaged files have crashed the HDF5 library. Files that refer to other files are refused.
+The child process is needed because damaged files of this complex format have crashed the HDF5 library. Files that refer
+to other files are refused.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ METHODS = ("has", "numbered", "picture_header", "content", "array")
 """Names of the methods of :class:`_OpenFile` that :func:`read_in_child` may call."""
 MAX_SOFT_LINKS = 16
 HEADER_BYTES = 1 << 16
-"""This number of bytes at the start of an encoded image is enough to read the image's width and height."""
+"""Number of bytes at the start of an encoded image that always contain the image's width and height."""
 MAX_IMAGE_BYTES = 256 << 20
 """Maximum size in bytes of an encoded image."""
 MAX_NUMBERS = 1024
@@ -45,7 +46,7 @@ class Hdf5File:
         self._parser = ParserProcess()
 
     def has(self, name: str) -> bool:
-        """Whether the file has an object with this path."""
+        """Return whether the file has an object with this path."""
         return bool(self._call("has", name).value)
 
     def numbered(self, name: str, required: bool = True) -> dict[int, str]:
@@ -72,7 +73,8 @@ class Hdf5File:
         )
 
     def array(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
-        """Read a dataset of finite numbers with the shape ``shape``. With the shape (-1,), the dataset is flattened."""
+        """Read a dataset of finite numbers with the shape ``shape``. If the shape is (-1,), the dataset is
+        flattened."""
         reply = self._call("array", name)
         with self._checked(name):
             value = np.frombuffer(reply.content, np.float64).reshape([int(side) for side in reply.value])
@@ -193,7 +195,7 @@ class _OpenFile:
     def _resolve(self, name: str) -> str | None:
         """Resolve the soft links in the path of an object. Returns None if the object is missing.
 
-        External links are rejected before the linked file is opened. An import that followed external links would copy
+        External links are rejected before the linked file is opened, because an import that followed them would copy
         the content of files outside the source.
         """
         path, parts, soft_links = "/", name.split("/"), 0

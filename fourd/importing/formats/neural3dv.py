@@ -1,9 +1,8 @@
 """Neural 3D Video: poses_bounds.npy (LLFF) beside camNN.mp4.
 
 Each row of the array contains a camera's 3 x 5 matrix and two depth bounds. The first three columns of the matrix are
-the camera's axes down, right and backwards in world coordinates. The fourth column of the matrix is the camera's
-position in the world. The fifth column of the matrix is (height, width, focal length) in pixels. The principal point is
-the centre of the image.
+the camera's axes down, right and backwards in world coordinates. The fourth column is the camera's position in the
+world, and the fifth is (height, width, focal length) in pixels. The principal point is the centre of the image.
 """
 
 from __future__ import annotations
@@ -39,11 +38,11 @@ PARSER_ERRORS = (
 """Errors that NumPy raises for a file with an invalid header, because it parses the header as a Python literal."""
 MAX_PIXELS = 1 << 20
 MAX_BYTES = 1 << 20
-"""Maximum size of the file in bytes. A camera has 136 bytes."""
+"""Maximum size of the file in bytes. Each camera takes 136 bytes."""
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source`` is a folder with poses_bounds.npy."""
+    """Return whether ``source`` is a folder with poses_bounds.npy."""
     return os.path.isfile(source / NAME)
 
 

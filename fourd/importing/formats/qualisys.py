@@ -24,16 +24,16 @@ METRES_PER_MM = 1e-3
 SUFFIX = ".qca.txt"
 MAX_PIXELS = 1 << 20
 MAX_SHOWN = 40
-"""If an error message quotes a wrong value, it shows at most this number of characters of the value."""
+"""Maximum number of characters of a wrong value that an error message quotes."""
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source`` is a .qca.txt file, or a folder with one."""
+    """Return whether ``source`` is a .qca.txt file, or a folder with one."""
     return _find_file(source) is not None
 
 
 def is_calibration(path: Path) -> bool:
-    """Whether ``path`` has the name of a calibration of Qualisys."""
+    """Return whether ``path`` has the name of a calibration of Qualisys."""
     return path.name.endswith(SUFFIX) and path.is_file()
 
 
@@ -42,7 +42,7 @@ def read(source: Path, frames: Path | None = None) -> Imported:
 
     Args:
         source: the folder or the file.
-        frames: folder that contains the cameras' videos; with None, the folder of NAME.qca.txt.
+        frames: folder that contains the cameras' videos, or None for the folder of NAME.qca.txt.
 
     Raises:
         UserError: when the XML is invalid, a value is missing, or no camera in the XML has a video.

@@ -39,7 +39,7 @@ MAX_PIXELS = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class _Entry:
-    """One entry of the JSON: path in the JSON, image file, matte file, camera, and time (or None without a time)."""
+    """One entry of the JSON: path in the JSON, image file, matte file, camera, and time, which may be None."""
 
     path: PurePosixPath
     picture: Path
@@ -49,8 +49,7 @@ class _Entry:
 
     @property
     def key(self) -> tuple[float, ...]:
-        """A key for grouping: two entries have the same key if their poses, intrinsics, distortion and image sizes are
-        equal."""
+        """Key that is equal for two entries if their poses, intrinsics, distortion and image sizes are equal."""
         camera = self.camera
         parts = [camera.rotation, camera.translation, camera.intrinsics, np.array([camera.width, camera.height])]
         parts += [] if camera.distortion is None else [camera.distortion]
@@ -58,16 +57,16 @@ class _Entry:
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source`` is a folder with transforms.json, or a file transforms*.json."""
+    """Return whether ``source`` is a folder with transforms.json, or a file transforms*.json."""
     return os.path.isfile(_json_path(source))
 
 
 def read(source: Path) -> Imported:
     """Read the cameras of ``source``.
 
-    Without times, each entry is a camera. With times, the entries of one folder form a camera if, in every folder, all
-    entries have the same pose and intrinsics. If they differ, the entries with the same pose and intrinsics form a
-    camera.
+    If the entries have no times, each entry is a camera. If they have times, the entries of one folder form a camera,
+    provided that in every folder all entries have the same pose and intrinsics. Otherwise, the entries with the same
+    pose and intrinsics form a camera.
 
     Raises:
         UserError: when the JSON is invalid, a value is missing or invalid, a lens is a fisheye, a path is outside the

@@ -10,7 +10,7 @@ from fourd.importing.imported import Imported, ImportedCamera
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source`` contains a video or a folder of images."""
+    """Return whether ``source`` contains a video or a folder of images."""
     try:
         return bool(find_frames(source))
     except (UserError, OSError):

@@ -2,8 +2,8 @@
 
 The evidence of a view is an image of log-odds that a pixel shows the subject. A voxel's log-odds in a view are the
 largest log-odds within the voxel's projection. A voxel's score is the smallest of its log-odds over the views in which
-the voxel is visible. With many views, the score is a slightly larger value, for example the second smallest log-odds,
-so that a few views may be wrong.
+the voxel is visible. With many views, a slightly larger value is used instead, for example the second smallest, so that
+a few views may be wrong.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ MAX_CELLS = 112
 million voxels."""
 CELLS_PER_PIXEL = 1.0
 OUTLIER_SHARE = 0.05
-"""The score of a voxel stays valid if at most this share of the views is wrong about the voxel."""
+"""The score of a voxel stays valid if at most this fraction of the views is wrong about the voxel."""
 MIN_SEEING_SHARE = 0.75
-"""A voxel gets a score only if it is inside the images of at least this share of the views."""
+"""A voxel gets a score only if it is inside the images of at least this fraction of the views."""
 REJECT_LOG_ODDS = np.float32(-2.0)
 """A view rejects a voxel if the voxel's log-odds in the view are below this value. Voxels that too many views reject
 are removed, so that the log-odds of only a few voxels must be sorted."""
@@ -42,8 +42,8 @@ class VoxelGrid:
         xyz: (N, 3) voxel centres in world units.
         size: side of a voxel in world units.
         cameras: the C cameras that provide the evidence.
-        pixels: (C, N) int32 flat pixel index, row * width + column, of each voxel centre in each camera. The pixel
-            index is -1 if the voxel centre is outside the image.
+        pixels: (C, N) int32 flat pixel index, row * width + column, of each voxel centre in each camera, or -1 if the
+            voxel centre is outside the image.
         width_px: (C,) width of a voxel's projection in each camera, rounded to an odd number of pixels.
     """
 
@@ -158,14 +158,15 @@ class Scores:
         return Scores(grid, alive, total, leave_one_out)
 
     def prior(self, index: int) -> Floats:
-        """Log-odds (h, w) of the pixels of camera ``index``, computed only from the other views.
+        """Return the log-odds (h, w) of the pixels of camera ``index``, computed only from the other views.
 
         Pixels outside the visual hull of the other views have the value NO_CELL_LOG_ODDS.
         """
         return self.grid.max_projection(self.alive, self.leave_one_out[index], index)
 
     def box(self) -> tuple[Array, Array] | None:
-        """Corners of the bounding box of all voxels with positive scores, or None if no score is positive."""
+        """Return the corners of the bounding box of all voxels with positive scores, or None if no score is
+        positive."""
         centres = self.grid.xyz[self.alive[self.total > 0]]
         if not len(centres):
             return None

@@ -16,12 +16,12 @@ Picture = NDArray[np.uint8]
 SHADOW_DARKEST = 0.55
 SHADOW_BRIGHTEST = 1.1
 MIN_SHARE = 0.002
-"""Lower limit of the learned shares in :class:`Deviations`.
+"""Lower limit of the learned fractions in :class:`Deviations`.
 
-The limit is above 0, because some deviations do not occur in the frames from which the shares are learned.
+The limit is above 0, because some deviations do not occur in the frames from which the fractions are learned.
 """
 PRIOR_PIXELS = 500.0
-"""Weight of the default shares when the shares are learned, as a number of pixels."""
+"""Weight of the default fractions when the fractions are learned, as a number of pixels."""
 SHARE_ITERATIONS = 3
 MIN_LOG_LIKELIHOOD = np.float32(-20.0)
 CONFIDENT_FRAMES = 3.0
@@ -32,12 +32,12 @@ LOG_TWO_PI = float(np.log(2 * np.pi))
 
 @dataclass(frozen=True)
 class Deviations:
-    """Shares of the background's pixels whose colour differs from the background model.
+    """Fractions of the background pixels whose colour differs from the background model.
 
     Attributes:
-        shaded: share in (0, 1) of background pixels in shadow or in reflected light.
-        changed: share in (0, 1) of background pixels whose colour differs from the model for other reasons than shadow
-            and light.
+        shaded: fraction in (0, 1) of background pixels in shadow or in reflected light.
+        changed: fraction in (0, 1) of background pixels whose colour differs from the model for other reasons than
+            shadow and light.
     """
 
     shaded: float = 0.3
@@ -60,11 +60,11 @@ class BackgroundModel:
 
     @property
     def confidence(self) -> Floats:
-        """Confidence (h, w) in [0, 1]. The confidence is 1 where enough frames have the same colour."""
+        """Confidence (h, w) in [0, 1]: 1 where enough frames have the same colour."""
         return np.clip(self.frames / CONFIDENT_FRAMES, 0, 1)
 
     def log_likelihood(self, rgb: Picture, shaded_share: float = Deviations.shaded) -> Floats:
-        """Log density (h, w) of each pixel's colour in an image (h, w, 3), over 8-bit RGB space.
+        """Return the log density (h, w) of each pixel's colour in an image (h, w, 3), over 8-bit RGB space.
 
         ``shaded_share`` is the probability that the background at a pixel is in shadow or in reflected light.
         """
@@ -72,11 +72,11 @@ class BackgroundModel:
         return np.maximum(np.maximum(plain, shaded + np.float32(np.log(shaded_share))), MIN_LOG_LIKELIHOOD)
 
     def plain_and_shaded(self, rgb: Picture) -> tuple[Floats, Floats]:
-        """Two log densities (h, w) of each pixel's colour in an image (h, w, 3): one for an unshaded background and one
-        for a shaded background.
+        """Return two log densities (h, w) of each pixel's colour in an image (h, w, 3): one for an unshaded background
+        and one for a shaded background.
 
-        The light on a shaded pixel is unknown and has a uniform prior from SHADOW_DARKEST to SHADOW_BRIGHTEST. The
-        density of a shaded pixel is therefore an integral over the light, which is computed by Laplace's approximation.
+        The light on a shaded pixel is unknown and has a uniform prior from SHADOW_DARKEST to SHADOW_BRIGHTEST, so the
+        density is an integral over the light, which is computed by Laplace's approximation.
         """
         scale = -0.5 * channel_sum(np.log(self.variance)) - np.float32(1.5 * LOG_TWO_PI)
         inverse: Floats = (1 / self.variance).astype(np.float32)
@@ -90,7 +90,7 @@ class BackgroundModel:
         return plain + scale, (shaded + scale).astype(np.float32)
 
     def similarity(self, rgb: Picture) -> Floats:
-        """Similarity (h, w) in [0, 1] between colours (h, w, 3) and the background's mean."""
+        """Return the similarity (h, w) in [0, 1] between colours (h, w, 3) and the background's mean."""
         return np.exp(-0.5 * channel_sum(np.square(rgb - self.mean) / (2 * self.variance)))
 
     def matching_weight(self, rgb: Picture, weights: Floats, noise: float) -> Floats:
@@ -102,7 +102,7 @@ class BackgroundModel:
         return total
 
     def crop(self, rows: slice, columns: slice) -> BackgroundModel:
-        """The model of a part of the image."""
+        """Return the model of a part of the image."""
         return BackgroundModel(self.mean[rows, columns], self.variance[rows, columns], self.frames[rows, columns])
 
     def resize(self, width: int, height: int) -> BackgroundModel:
@@ -115,10 +115,10 @@ class BackgroundModel:
 
 
 def fit_deviations(plain: Floats, shaded: Floats, changed: Floats) -> Deviations:
-    """Estimate the shares of shadowed pixels and of changed pixels from pixels that certainly show the background.
+    """Estimate the fractions of shadowed pixels and of changed pixels from pixels that certainly show the background.
 
-    The shares are the weights of a mixture model and are estimated by expectation maximisation. The default shares have
-    the weight of PRIOR_PIXELS pixels, so that a few pixels hardly change the learned shares.
+    The fractions are the weights of a mixture model and are estimated by expectation maximisation. The default
+    fractions have the weight of PRIOR_PIXELS pixels, so a few pixels hardly change them.
 
     Args:
         plain: (N,) log densities of the pixels' colours according to the background model.
@@ -139,9 +139,8 @@ def fit_deviations(plain: Floats, shaded: Floats, changed: Floats) -> Deviations
 def fit_background(rgb: Picture, weights: Floats, noise: float) -> BackgroundModel:
     """Fit a background model to frames.
 
-    At each pixel, the total weight of all frames with a similar colour is computed for each frame. The frame with the
-    largest total weight is chosen. The model is the weighted mean and variance of the colours that are similar to the
-    colour in the chosen frame.
+    At each pixel, the frame is chosen for which the total weight of all frames with a similar colour is largest. The
+    model is the weighted mean and variance of the colours that are similar to the chosen frame's colour.
 
     Args:
         rgb: (T, h, w, 3) uint8 frames.

@@ -41,7 +41,7 @@ class ColourHistogram:
         return ColourHistogram(np.log(density).astype(np.float32))
 
     def log_likelihood(self, rgb: Picture) -> Floats:
-        """Log densities (...,) at colours (..., 3) uint8."""
+        """Return the log densities (...,) at colours (..., 3) uint8."""
         return self.log_density.ravel()[bin_indices(rgb, BINS)]
 
 
@@ -55,6 +55,6 @@ def log_density(shares: NDArray[np.floating], bins: int) -> Floats:
 
 
 def bin_indices(rgb: Picture, bins: int) -> NDArray[np.int32]:
-    """Indices (...,) of colours (..., 3) into a flattened RGB histogram of ``bins`` ** 3 bins."""
+    """Return the indices (...,) of colours (..., 3) into a flattened RGB histogram of ``bins`` ** 3 bins."""
     bin_rgb = (rgb.astype(np.int32) * bins) >> 8
     return np.asarray((bin_rgb[..., 0] * bins + bin_rgb[..., 1]) * bins + bin_rgb[..., 2], np.int32)

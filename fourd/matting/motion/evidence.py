@@ -1,5 +1,5 @@
-"""Log-odds that a pixel shows the subject. The log-odds of a pixel are computed from the image of its camera and from
-the visual hull of the other views."""
+"""Log-odds that a pixel shows the subject, computed from the image of its camera and from the visual hull of the other
+views."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
 MAX_LOG_ODDS = np.float32(8.0)
-"""Maximum magnitude of log-odds. Log-odds beyond this magnitude are clamped."""
+"""Maximum magnitude to which log-odds are clamped."""
 UNKNOWN_BACKGROUND_WEIGHT = np.float32(0.25)
 """Factor that multiplies negative log-odds, which are evidence against the subject, at pixels whose background colour
 is unknown."""
@@ -59,7 +59,7 @@ class Appearance:
         surround: colours of the background near the subject.
         region: (h, w) bool mask that contains the subject in all frames.
         still_px: length in pixels of the optical flow of static pixels.
-        deviations: shares of the background's pixels whose colour differs from the background model.
+        deviations: fractions of the background pixels whose colour differs from the background model.
     """
 
     background: BackgroundModel
@@ -70,7 +70,7 @@ class Appearance:
     deviations: Deviations = field(default_factory=Deviations)
 
     def log_odds(self, rgb: Picture, motion: Floats | None) -> Floats:
-        """Log-odds (h, w) that the pixels of an image (h, w, 3) show the subject, from this camera only.
+        """Return the log-odds (h, w) that the pixels of an image (h, w, 3) show the subject, from this camera only.
 
         ``motion`` (h, w) is the length of the optical flow in pixels, or None for a capture of one frame.
         """
@@ -136,11 +136,10 @@ def combine_views(
         appearances: colour models of each camera.
         pictures: one frame's image (h, w, 3) of each camera.
         motions: length (h, w) of the optical flow in pixels in each camera, or None for a capture of one frame.
-        grid: voxels of the hull, or None for a single camera or parallel cameras. Without a grid, each camera is
-            processed independently.
-        local: local colours of the background, or None for a single pass. With local colours, there are two passes. The
-            first pass determines the local colours of the subject. The second pass carves another hull with evidence
-            from the local colours of subject and background.
+        grid: voxels of the hull, or None for a single camera or parallel cameras, which are processed independently.
+        local: local colours of the background, or None for a single pass. If they are given, there are two passes: the
+            first determines the local colours of the subject, and the second carves another hull with evidence from the
+            local colours of subject and background.
         painted: for each camera, the log-odds (h, w) that the user painted; 0 where nothing is painted.
     """
     strokes = [None] * len(pictures) if painted is None else painted
@@ -165,7 +164,7 @@ def combine_views(
 
 
 def _add_strokes(odds: Floats, painted: Floats | None) -> Floats:
-    """Add painted log-odds, and limit the sum at painted pixels to MAX_LOG_ODDS."""
+    """Add painted log-odds, and clamp the sum's magnitude at painted pixels to MAX_LOG_ODDS."""
     if painted is None:
         return odds
     return np.where(painted == 0, odds, np.clip(odds + painted, -MAX_LOG_ODDS, MAX_LOG_ODDS))
@@ -181,7 +180,7 @@ def _add_hull(
         scores = grid.scores(own)
         priors = [scores.prior(index) for index in range(len(own))]
     # The log-odds of pixels in the reliable part of the hull (priors above RELIABLE_SCORE) are estimated from all views
-    # together. An estimate from a single view that misses a part of the subject would be biased.
+    # together, because an estimate from a single view that misses a part of the subject would be biased.
     reliable_own = [
         odds[(prior > RELIABLE_SCORE) & each.region] for odds, prior, each in zip(own, priors, appearances, strict=True)
     ]
@@ -202,10 +201,10 @@ def _add_hull(
 
 
 def _inside_hull_log_odds(own: Floats, limit: float) -> np.float32:
-    """Log-odds, at most ``limit``, that a pixel inside the other views' visual hull shows the subject.
+    """Return the log-odds, at most ``limit``, that a pixel inside the other views' visual hull shows the subject.
 
     The result is estimated from ``own`` (N,), the log-odds of pixels inside the hull, each computed from one camera
-    only. The hull of many views is tight and gives strong evidence. The hull of a few views is wide and gives weak
+    only. The hull of many views is tight and gives strong evidence, and the hull of a few views is wide and gives weak
     evidence.
     """
     subject, other = np.count_nonzero(own > CONFIDENT_LOG_ODDS), np.count_nonzero(own < -CONFIDENT_LOG_ODDS)
@@ -218,5 +217,5 @@ def smooth_log_odds(odds: Floats, rgb: Picture) -> Floats:
 
 
 def probability(log_odds: Floats) -> Floats:
-    """The logistic function: probabilities in [0, 1] from log-odds."""
+    """Convert log-odds to probabilities in [0, 1] by the logistic function."""
     return (1 / (1 + np.exp(-log_odds))).astype(np.float32)

@@ -22,7 +22,7 @@ Picture = NDArray[np.uint8]
 
 MAX_COLOURS = 200_000
 SURROUND_PX = 20
-"""Width in pixels of the band around the subject. The colours in the band represent the background."""
+"""Width in pixels of the band around the subject whose colours represent the background."""
 MIN_WEIGHT = np.float32(0.04)
 COLOUR_MARGIN = np.float32(1.0)
 """:func:`_background_weight` is 0.5 if the colour log-odds of the subject have this value.
@@ -40,8 +40,8 @@ background model.
 CLEAR_PX = 8
 """Distance in pixels from the hull of the other views.
 
-Only pixels at this distance or farther are used to learn the share of the background that changes. Closer pixels may
-show parts of the subject that the hull misses.
+Only pixels at this distance or farther are used to learn the fraction of the background that changes, because closer
+pixels may show parts of the subject that the hull misses.
 """
 CERTAIN_CONFIDENCE = 0.9
 MIN_CONFIRMATION = np.float32(0.03)
@@ -131,8 +131,8 @@ class Learner:
         self._fit_deviations(off_hull)
 
     def _fit_deviations(self, off_hull: Flags) -> None:
-        """Learn two shares of the known background: the share in shadow, and the share whose colour changes. Only
-        pixels far from the hull are used.
+        """Learn two fractions of the known background: the fraction in shadow, and the fraction whose colour changes.
+        Only pixels far from the hull are used.
 
         ``off_hull`` (T, h, w) is True outside the other views' visual hull. Frames without a hull are ignored.
         """
@@ -149,7 +149,7 @@ class Learner:
         self.appearance = replace(self.appearance, deviations=deviations)
 
     def _confirmed_background(self, weights: Floats) -> Flags:
-        """Mask (h, w) of the pixels near the subject whose background colour is known.
+        """Return the mask (h, w) of the pixels near the subject whose background colour is known.
 
         The background colour is known outside the moving region. Inside the moving region, the ``weights`` (T, h, w) of
         the frames that match the background model are summed. The background colour is known where the sum exceeds
@@ -159,7 +159,7 @@ class Learner:
         return self._near_subject & (~self.appearance.region | (frames > CONFIRMED_FRAMES))
 
     def _colour_log_odds(self, known: Flags) -> Floats:
-        """Log-odds (T, h, w) of the subject against the nearby background, computed only from colours.
+        """Return the log-odds (T, h, w) of the subject against the nearby background, computed only from colours.
 
         The background colours come from the pixels in the mask ``known`` (h, w).
         """
@@ -193,8 +193,8 @@ class Learner:
 
 
 def _background_weight(odds: Floats) -> Floats:
-    """Weight in (0, 1] with which a pixel counts as background, computed from the log-odds that its colour belongs to
-    the subject.
+    """Return the weight in (0, 1] with which a pixel counts as background, computed from the log-odds that its colour
+    belongs to the subject.
 
     Typical subject colours have a low background weight.
     """
@@ -202,14 +202,14 @@ def _background_weight(odds: Floats) -> Floats:
 
 
 def _background_confirmation(odds: Floats) -> Floats:
-    """Weight in (0, 1] with which a colour confirms the background, computed from the log-odds that the colour belongs
-    to the subject.
+    """Return the weight in (0, 1] with which a colour confirms the background, computed from the log-odds that the
+    colour belongs to the subject.
 
     Typical background colours have a high weight.
 
-    A static part of the subject keeps its colour over as many frames as the background does. A constant colour is
-    therefore no evidence for background at pixels that are always inside the other views' hull. Only a colour that is
-    typical of the background is evidence for background inside the hull.
+    A static part of the subject keeps its colour over as many frames as the background does, so a constant colour is no
+    evidence for background at pixels that are always inside the other views' hull. There, only a colour that is typical
+    of the background is such evidence.
     """
     return np.maximum(probability(COLOUR_SLOPE * (-COLOUR_MARGIN - odds)), MIN_CONFIRMATION)
 

@@ -20,7 +20,7 @@ REACH_PX = 20.0
 GLOBAL_WEIGHT = 4.0
 """In each local histogram, the whole image's histogram counts as much as this number of pixels.
 
-The whole image's histogram dominates at grid points that are far from all counted pixels.
+It dominates at grid points that are far from all counted pixels.
 """
 
 
@@ -64,7 +64,8 @@ class LocalColours:
         return LocalColours(log_density(share, bins).reshape(rows, columns, -1), step, bins)
 
     def log_likelihood(self, rgb: Picture) -> Floats:
-        """Log densities (h, w) at an image's colours (h, w, 3), interpolated bilinearly between grid points."""
+        """Return the log densities (h, w) at an image's colours (h, w, 3), interpolated bilinearly between grid
+        points."""
         height, width = rgb.shape[:2]
         rows, columns = self.log_density.shape[:2]
         bins = bin_indices(rgb, self.bins)
@@ -81,8 +82,8 @@ class LocalColours:
 
 
 def _interpolation(size: int, points: int, step_px: int) -> tuple[NDArray[np.intp], Floats]:
-    """Prepare linear interpolation along an image axis that has ``size`` pixels and ``points`` grid points. The grid
-    points are ``step_px`` pixels apart.
+    """Prepare linear interpolation along an image axis that has ``size`` pixels and ``points`` grid points, which are
+    ``step_px`` pixels apart.
 
     Returns:
         For each pixel, the index of the grid point before the pixel, and the weight in [0, 1] of the next grid point.

@@ -1,8 +1,8 @@
 """Log-odds from local colours, at pixels whose background is unknown.
 
-The histograms of :class:`~fourd.matting.motion.evidence.Appearance` cover the whole image. In a histogram of the whole
-image, a colour that occurs both on the subject and on the floor is ambiguous. In a small part of the image, few colours
-are ambiguous, because a part of the subject and the floor next to it usually have different colours.
+The histograms of :class:`~fourd.matting.motion.evidence.Appearance` cover the whole image, so a colour that occurs both
+on the subject and on the floor is ambiguous. In a small part of the image, few colours are ambiguous, because a part of
+the subject and the floor next to it usually have different colours.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ SUBJECT_LOG_ODDS = np.float32(2.0)
 """A pixel's colour counts as a colour of the subject if the pixel's log-odds are above this value."""
 GLOBAL_SHARE = 0.15
 """Weight of the subject's colours from the whole recording when they are mixed with the subject's colours near a pixel.
-Without this weight, a part of the subject would be missed if its colour occurs at no nearby pixel that certainly shows
-the subject."""
+Without it, a part of the subject would be missed if its colour occurs at no nearby pixel that certainly shows the
+subject."""
 MAX_LOG_ODDS = np.float32(8.0)
 WEIGHT = np.float32(1.0)
 
@@ -41,8 +41,8 @@ class LocalEvidence:
     Attributes:
         window: rows and columns of the image that contain the subject in all frames.
         background: colours of the known background.
-        weight: factor (h, w) in [0, WEIGHT] that multiplies the local log-odds in the window. The weight is 0 where the
-            background is known.
+        weight: factor (h, w) in [0, WEIGHT] that multiplies the local log-odds in the window; 0 where the background is
+            known.
     """
 
     window: tuple[slice, slice]
@@ -82,7 +82,7 @@ class LocalEvidence:
 
 
 def local_evidence(backgrounds: Sequence[BackgroundModel], regions: Sequence[NDArray[np.bool_]]) -> list[LocalEvidence]:
-    """The local evidence of each camera."""
+    """Return the local evidence of each camera."""
     return [
         LocalEvidence.from_background(background, region)
         for background, region in zip(backgrounds, regions, strict=True)

@@ -73,9 +73,9 @@ class MatteMaker:
             small.append(reduce_picture(pictures[-1], camera))
             motions.append(None)
             if other is not None:
-                # Optical flow is computed from the frames ``frame`` and ``other``. The frames between them are also
-                # read, in ascending order, so that they are cached. Reading these frames later would require seeking
-                # backwards in the video and decoding from the previous keyframe.
+                # Optical flow needs only the frames ``frame`` and ``other``. The frames between them are also read, in
+                # ascending order, so that they are cached: reading them later would require seeking backwards in the
+                # video and decoding from the previous keyframe.
                 ahead = [capture.image(index, number) for number in range(frame + 1, other + 1)]
                 second = ahead[-1] if ahead else capture.image(index, other)
                 motions[-1] = flow_length_px(small[-1], reduce_picture(second, camera))
@@ -91,8 +91,8 @@ class MatteMaker:
 
 
 def _sharp_background(appearance: Appearance, picture: Picture) -> Floats | None:
-    """The background's colours and their confidence, together (H, W, 4); None if the background model does not have the
-    size of the image."""
+    """Return the background's colours and their confidence as one array (H, W, 4), or None if the background model does
+    not have the size of the image."""
     background = appearance.background
     if background.frames.shape != picture.shape[:2]:
         return None
@@ -100,7 +100,7 @@ def _sharp_background(appearance: Appearance, picture: Picture) -> Floats | None
 
 
 def matting_cameras(capture: Capture) -> tuple[Camera, ...]:
-    """The capture's cameras, rescaled to the size of the images from which log-odds are computed."""
+    """Return the capture's cameras, rescaled to the size of the images from which log-odds are computed."""
     longest = max(max(camera.width, camera.height) for camera in capture.cameras)
     return tuple(camera.rescale(min(1.0, MAX_SIDE_PX / longest)) for camera in capture.cameras)
 

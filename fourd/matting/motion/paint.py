@@ -122,7 +122,8 @@ def read_strokes(paints: Sequence[Paint], capture: Capture, cameras: Sequence[Ca
 def strokes_in_frame(
     strokes: Sequence[Strokes], capture: Capture, cameras: Sequence[Camera], frame: int
 ) -> list[Floats | None]:
-    """Painted log-odds (h, w) of one frame in each camera, or None in cameras that have no strokes on nearby frames."""
+    """Return the painted log-odds (h, w) of one frame in each camera, or None in cameras that have no strokes on nearby
+    frames."""
     found: list[Floats | None] = [None] * len(cameras)
     for each in sorted(strokes, key=lambda stroke: -abs(stroke.frame - frame)):
         distance = abs(each.frame - frame)

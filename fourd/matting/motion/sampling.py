@@ -62,7 +62,7 @@ def sample_capture(capture: Capture, track: Track) -> list[CameraSample]:
 
 
 def flow_frame(frame: int, count: int) -> int | None:
-    """Index of the frame to which the optical flow of ``frame`` is computed, or None if ``count`` is 1.
+    """Return the index of the frame to which the optical flow of ``frame`` is computed, or None if ``count`` is 1.
 
     ``count`` is the capture's number of frames.
     """
@@ -72,7 +72,7 @@ def flow_frame(frame: int, count: int) -> int | None:
 
 
 def learning_frames(count: int) -> list[int]:
-    """For a capture of ``count`` frames, the indices of the frames from which the subject is learned."""
+    """Return the indices of the frames from which the subject is learned, for a capture of ``count`` frames."""
     return sample_indices(count, MAX_FRAMES)
 
 
@@ -84,12 +84,13 @@ def reduce_picture(picture: Picture, camera: Camera) -> Picture:
 
 
 def flow_length_px(before: Picture, after: Picture) -> Floats:
-    """Length (H, W) in pixels of the optical flow between two images (H, W, 3) (DIS, Kroeger et al. 2016)."""
+    """Return the length (H, W) in pixels of the optical flow between two images (H, W, 3) (DIS, Kroeger et al.
+    2016)."""
     return np.linalg.norm(flow_field(before, after), axis=-1).astype(np.float32)
 
 
 def flow_field(before: Picture, after: Picture) -> Floats:
-    """Optical flow (H, W, 2) in pixels, x then y, between two images (H, W, 3) (DIS, Kroeger et al. 2016).
+    """Return the optical flow (H, W, 2) in pixels, x then y, between two images (H, W, 3) (DIS, Kroeger et al. 2016).
 
     The flow is 0 for images with a side below 32 pixels.
     """

@@ -3,8 +3,8 @@
 The models are learned by expectation maximisation over a few frames of all cameras. Motion initialises the models:
 moving pixels are the subject. A pixel's background is its most frequent colour in frames without motion, unless that
 colour is typical of the subject. The E-step combines the evidence of a pixel's own camera with the visual hull of the
-other cameras (:mod:`fourd.matting.motion.agreement`). A subject that is static in one view is therefore found with the
-other views.
+other cameras (:mod:`fourd.matting.motion.agreement`), so a subject that is static in one view is found with the help of
+the other views.
 """
 
 from __future__ import annotations
@@ -33,19 +33,18 @@ Flags = NDArray[np.bool_]
 
 ITERATIONS = 4
 LOCAL_ITERATIONS = 2
-"""Number of additional iterations after the first ITERATIONS iterations. The E-step of the additional iterations uses
-local colours. In the M-step of the additional iterations, a low probability of the subject confirms background even
-inside the other views' hull. Background between the subject's limbs therefore becomes known. The first additional
-iteration makes the edges of the subject more accurate. In the second additional iteration, background that is visible
-only next to the subject becomes known."""
+"""Number of additional iterations after the first ITERATIONS iterations. Their E-step uses local colours. In their
+M-step, a low probability of the subject confirms background even inside the other views' hull, so background between
+the subject's limbs becomes known. The first additional iteration makes the subject's edges more accurate. The second
+finds background that is visible only next to the subject."""
 MIN_REGION_PIXELS = 20
 """If fewer than this number of pixels change in every camera, the capture has no moving subject."""
 COARSE_CELLS = (48, 64, 64)
 POOLED_SHARE = 0.3
-"""The subject colours of a camera are a mixture of the camera's own colours and the colours pooled over all cameras.
-This value in [0, 1] is the weight of the pooled colours.
+"""Weight in [0, 1] of the subject colours pooled over all cameras, when they are mixed with a camera's own subject
+colours.
 
-Pooled colours help where a part of the subject is static in one view.
+The pooled colours help where a part of the subject is static in one view.
 """
 
 
@@ -129,7 +128,8 @@ def _pool_subject_colours(learners: Sequence[Learner]) -> None:
 def _motion_box(
     extents: Sequence[MotionExtent], cameras: Sequence[Camera], names: Sequence[str]
 ) -> tuple[Array, Array] | None:
-    """Bounding box of the visual hull of the moving regions, or None for a single camera or parallel cameras."""
+    """Return the bounding box of the visual hull of the moving regions, or None for a single camera or parallel
+    cameras."""
     focus = find_focus(list(cameras)) if len(cameras) > 1 else None
     if focus is None:
         return None
@@ -162,5 +162,5 @@ def _subject_regions(extents: Sequence[MotionExtent], grid: VoxelGrid) -> list[F
 
 
 def _region_log_odds(region: Flags) -> Floats:
-    """Log-odds (h, w) for a binary region: 3 inside, -5 outside."""
+    """Return the log-odds (h, w) for a binary region: 3 inside, -5 outside."""
     return np.where(region, np.float32(3), np.float32(-5))

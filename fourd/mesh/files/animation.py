@@ -1,8 +1,8 @@
 """Writes an animated GLB file from the GLB files of single frames.
 
-Different frames have different triangles, so neither skinning nor morph targets can animate the meshes. The file
-instead has one node for each frame. The animation changes the scale of the nodes in steps: the scale of a node is 1
-while its frame is shown, and 0 otherwise.
+The triangles differ from frame to frame, so neither skinning nor morph targets can animate the meshes. The file has one
+node for each frame instead, and the animation switches the nodes' scales in steps: a node has scale 1 while its frame
+is shown, and 0 otherwise.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ HIDDEN, SHOWN = [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]
 
 
 def write_animation(path: Path, frames: Sequence[Path], fps: float, up: Array) -> None:
-    """Join the GLB files of the frames to one animated GLB file, atomically.
+    """Join the GLB files of the frames into one animated GLB file, which is written atomically.
 
     Meshes and textures are copied one file at a time, so memory does not grow with the number of frames.
 
     Args:
         path: the file to write.
-        frames: files of :func:`fourd.mesh.files.glb.write_glb` in the order of time, at least one.
+        frames: files written by :func:`fourd.mesh.files.glb.write_glb`, in temporal order, at least one.
         fps: frames per second, more than 0.
-        up: (3,) up direction of the scene in world coordinates. The direction must not be zero.
+        up: (3,) nonzero up direction of the scene in world coordinates.
 
     Raises:
         UserError: if a frame's file is missing or damaged, or the animation would be larger than 4 GiB.
@@ -77,7 +77,7 @@ def _empty_document(count: int, up: Array) -> dict[str, Any]:
 
 
 def _append_frame(document: dict[str, Any], file: GlbFile, offset: int, index: int) -> None:
-    """Append the mesh and the texture of one frame to the document. The frame's binary part starts at ``offset``."""
+    """Append one frame's mesh and texture to the document. The frame's binary data starts at ``offset``."""
     first_view, first_accessor = len(document["bufferViews"]), len(document["accessors"])
     for view in file.document["bufferViews"]:
         document["bufferViews"].append(view | {"byteOffset": view.get("byteOffset", 0) + offset})
@@ -96,10 +96,10 @@ def _append_frame(document: dict[str, Any], file: GlbFile, offset: int, index: i
 
 
 def _append_keyframes(document: dict[str, Any], count: int, fps: float, offset: int) -> bytes:
-    """Append the animation to the document, and return the animation's keyframes, which are stored at ``offset``.
+    """Append the animation to the document, and return the bytes of its keyframes, to be stored at ``offset``.
 
-    Frame i is shown from i / fps to (i + 1) / fps. The last keyframe of each node is at the end of the animation, so
-    that all nodes have the same duration and the animation loops after the last frame.
+    Frame i is shown from i / fps to (i + 1) / fps. Each node has its last keyframe at the end of the animation. All
+    nodes thus have the same duration, and the animation loops after the last frame.
     """
     keys = b""
     samplers, channels = [], []

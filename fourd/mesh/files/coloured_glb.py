@@ -32,7 +32,7 @@ def write_coloured_glb(
     triangles: NDArray[np.integer],
     up: Array,
 ) -> None:
-    """Write a mesh with vertex colours, atomically. The material is unlit and visible from both sides.
+    """Write a mesh with vertex colours and an unlit, double-sided material, atomically.
 
     Args:
         path: the file.
@@ -40,7 +40,7 @@ def write_coloured_glb(
         normals: (N, 3) unit normals.
         rgb: (N, 3) uint8 sRGB colours. The file stores linear colours with 16 bits per channel, as glTF requires.
         triangles: (M, 3) vertex indices.
-        up: (3,) up direction of the scene in world coordinates. The direction must not be zero.
+        up: (3,) nonzero up direction of the scene in world coordinates.
     """
     colours = np.full((len(xyz), 4), 65535, "<u2")
     colours[:, :3] = np.rint(srgb_to_linear(rgb / 255.0) * 65535)

@@ -1,8 +1,8 @@
-"""GLB files (binary glTF 2.0): writing of textured meshes, and reading of the files that this module writes.
+"""Writes textured meshes to GLB files (binary glTF 2.0), and reads the files that it wrote.
 
-The vertices in a file are in world coordinates. glTF requires metres, right-handed axes and the up axis +y. The root
-node therefore rotates the world such that the scene's up direction becomes +y. Textures are embedded JPEG images. The
-material is unlit (KHR_materials_unlit), because the images already contain the scene's light.
+The vertices in a file are in world coordinates. glTF requires metres, right-handed axes and +y as the up axis, so the
+root node rotates the scene's up direction to +y. Textures are embedded JPEG images. The material is unlit
+(KHR_materials_unlit), because the images already contain the scene's lighting.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ ASSET = {"version": "2.0", "generator": "fourd mesh"}
 
 @dataclass(frozen=True, eq=False)
 class GlbFile:
-    """The JSON part of a GLB file, and the position of the file's binary part.
+    """A GLB file's JSON document and the position of its binary part.
 
     Attributes:
         path: the file.
         document: the glTF document.
-        start: offset of the binary part in the file, in bytes.
+        start: byte offset of the binary part in the file.
         length: length in bytes of the binary part.
     """
 
@@ -56,7 +56,7 @@ class GlbFile:
     length: int
 
     def view(self, index: int) -> bytes:
-        """The bytes of the buffer view ``index``."""
+        """Read the bytes of the buffer view ``index``."""
         view = self.document["bufferViews"][index]
         with open_regular(self.path) as stream:
             stream.seek(self.start + view.get("byteOffset", 0))
@@ -69,7 +69,7 @@ def write_glb(path: Path, mesh: TexturedMesh, up: Array) -> None:
     Args:
         path: the file.
         mesh: the mesh in world coordinates.
-        up: (3,) up direction of the scene in world coordinates. The direction must not be zero.
+        up: (3,) nonzero up direction of the scene in world coordinates.
     """
     image = encode_texture(mesh.texture)
     parts = [
@@ -170,7 +170,8 @@ def _document(mesh: TexturedMesh, up: Array) -> dict[str, Any]:
 
 
 def material(texture: int) -> dict[str, Any]:
-    """An unlit material with a texture. Programs that do not support unlit materials show a rough material."""
+    """Return an unlit, textured material. Programs without support for unlit materials show a rough material
+    instead."""
     return {
         "pbrMetallicRoughness": {"baseColorTexture": {"index": texture}, "metallicFactor": 0, "roughnessFactor": 1},
         "extensions": {UNLIT: {}},
@@ -178,7 +179,7 @@ def material(texture: int) -> dict[str, Any]:
 
 
 def sampler() -> dict[str, int]:
-    """A texture sampler with trilinear filtering, clamped at the texture's border."""
+    """Return a sampler with trilinear filtering that clamps texture coordinates to the edge."""
     return {
         "magFilter": LINEAR,
         "minFilter": LINEAR_MIPMAP_LINEAR,

@@ -1,1 +1,1 @@
-"""Fitting of the surface of one frame to the mattes and images of its views."""
+"""Fitting of one frame's surface to the mattes and images of its views."""

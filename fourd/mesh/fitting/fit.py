@@ -1,4 +1,4 @@
-"""Fitting of a distance function and of vertex offsets to the mattes and images of one frame."""
+"""Fitting of a signed distance function and vertex offsets to the mattes and images of one frame."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from fourd.ops.meshes.ids import decode_ids
 from fourd.raster.triangles import antialias, interpolate, rasterize
 
 MAX_OFFSET_CELLS = 0.4
-"""Maximum offset of a grid vertex along each axis, in units of a cube's side. The maximum keeps each vertex near its
-grid position. Without offsets, neighbouring vertices are at least 0.87 cube sides apart."""
+"""Maximum offset of a grid vertex along each axis, in units of the cube side. It keeps each vertex near its position in
+the undeformed grid, where neighbouring vertices are at least 0.87 cube sides apart."""
 
 DEPTH_STEPS = 20
-"""Number of gradient steps between two renderings of the depth images of all views. The depth images determine which
-points are visible."""
+"""Number of gradient steps after which the depth images of all views are rendered again. They determine which points
+are visible."""
 
 NO_DEPTH = 1e9
-"""Depth that is used for pixels without a surface."""
+"""Depth of pixels that show no surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class FittedMesh:
     Attributes:
         xyz: (N, 3) float32 vertices in world units.
         triangles: (M, 3) int64 vertex indices, counter-clockwise seen from outside.
-        losses: (S,) float64 total loss in each of the S gradient steps: the weighted sum of all loss terms.
+        losses: (S,) float64 total loss, the weighted sum of all loss terms, in each of the S gradient steps.
     """
 
     xyz: NDArray[np.float32]
@@ -51,18 +51,18 @@ def fit_mesh(start: DistanceGrid, views: Sequence[MeshView], settings: FitSettin
     """Fit the surface of one frame.
 
     The parameters are a signed distance and an offset for each vertex of a tetrahedral grid (DMTet, Shen et al. 2021).
-    Each step renders one view, which is called the target view. The silhouette term compares the antialiased alpha with
-    the target view's matte. The photo term compares the colours of the target view's pixels with the colours that other
-    views show at the same surface points. The Laplacian term and the normal term keep the surface smooth. The signed
-    distances on the border of the grid keep their signs, so that the surface stays closed.
+    Each step renders the mesh into one view, called the target view. The silhouette term compares the rendered,
+    antialiased alpha with the target view's matte. The photo term compares the colours of the target view's pixels with
+    the colours that other views show at the same surface points. The Laplacian term and the normal term keep the
+    surface smooth. The signed distances on the border of the grid keep their signs, so that the surface stays closed.
 
     Args:
-        start: signed distances at the start, for example the distances to the visual hull.
+        start: initial signed distances, for example the distances to the visual hull.
         views: views of the frame, at least 2.
         settings: steps, rates and weights.
 
     Raises:
-        ValueError: if there are fewer than 2 views, or the distances ``start`` contain no surface.
+        ValueError: if there are fewer than 2 views, or ``start`` contains no surface.
     """
     if len(views) < 2:
         raise ValueError(f"views: expected at least 2, got {len(views)}")
@@ -94,7 +94,7 @@ class _Fit:
         self.order: list[int] = []
 
     def surface(self) -> Surface:
-        """The surface for the current parameters. The surface is differentiable in the parameters."""
+        """Return the surface for the current parameters, which is differentiable with respect to them."""
         reach = MAX_OFFSET_CELLS * self.side
         xyz = self.grid.xyz + reach * torch.tanh(self.offset)
         return marching_tetrahedra(xyz, self.distance, self.grid.tetrahedra)
@@ -164,8 +164,8 @@ def _to_photo_view(view: MeshView) -> PhotoView:
 
 
 def _nearby_views(views: Sequence[MeshView], count: int, focus: NDArray[np.float32]) -> list[list[int]]:
-    """For each view, the indices of the ``count`` nearest other views. The distance of two views is the angle at
-    ``focus`` (3,) between the directions to their cameras."""
+    """Return the indices of the ``count`` nearest other views of each view. The distance between two views is the angle
+    at ``focus`` (3,) between the directions to their cameras."""
     cameras = [view.camera for view in views]
     ordered = [nearest_views(camera, cameras, len(cameras), focus.astype(np.float64)) for camera in cameras]
     return [[other for other in order if other != index][:count] for index, order in enumerate(ordered)]

@@ -19,14 +19,14 @@ from fourd.carving.surface import surface_cells
 from fourd.mesh.surface.grid import TetrahedralGrid, cube_grid
 
 BAND_CELLS = 2
-"""Number of cubes by which the grid extends on each side beyond the cubes at the surface."""
+"""Number of cubes by which the grid extends beyond the surface cubes on each side."""
 
 SMOOTHING_CELLS = 1.2
-"""Standard deviation, in units of a cube's side, of the Gaussian that smooths the hull after removal of its excess
-parts."""
+"""Standard deviation, in units of the cube side, of the Gaussian that smooths the hull after its excess parts are
+removed."""
 
 DISTANCE_CELLS = 1.5
-"""Limit of the absolute values of all signed distances, in units of a cube's side."""
+"""Signed distances are clamped to plus or minus this number of cube sides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +35,8 @@ class DistanceGrid:
 
     Attributes:
         grid: the grid, which covers a band of a few cubes around the surface.
-        sdf: (V,) float32 signed distance of each vertex in world units, positive inside. Absolute values are limited to
-            DISTANCE_CELLS cube sides.
+        sdf: (V,) float32 signed distance of each vertex in world units, positive inside, with absolute values clamped
+            to DISTANCE_CELLS cube sides.
     """
 
     grid: TetrahedralGrid
@@ -62,9 +62,9 @@ def hull_distance_grid(
         cameras: undistorted pinhole cameras.
         bounds: box that contains the hull.
         cells: number of cubes along the longest side of ``bounds``, at least 1.
-        agreement: a share in (0, 1]. A hull point must be inside the mattes of at least the share ``agreement`` of the
-            views that see it.
-        least_views: a share in (0, 1]. At least the share ``least_views`` of all views must see a hull point.
+        agreement: a hull point must be inside the mattes of at least this fraction, in (0, 1], of the views that see
+            it.
+        least_views: at least this fraction, in (0, 1], of all views must see a hull point.
         trim: whether to remove protruding parts of the hull (see :mod:`fourd.carving.excess`). The remaining hull still
             covers all mattes.
         names: names of the cameras for error messages.
@@ -72,7 +72,7 @@ def hull_distance_grid(
 
     Raises:
         UserError: if the hull is empty. The error message names the views that disagree most with the other views.
-        ValueError: if ``cells`` is below 1, or masks, cameras or shares are invalid (see :class:`Silhouettes`).
+        ValueError: if ``cells`` is below 1, or masks, cameras or fractions are invalid (see :class:`Silhouettes`).
     """
     if cells < 1:
         raise ValueError(f"cells: expected at least 1, got {cells}")
@@ -101,13 +101,13 @@ def hull_distance_grid(
 
 @dataclass(frozen=True, eq=False)
 class _RemovedParts:
-    """Excess parts of a hull. For each cell, the class stores which share of the cell's neighbourhood is removed.
+    """Excess parts of a hull, stored as the fraction of each cell's neighbourhood that is removed.
 
     Attributes:
         hull: the grid of cells.
-        share: float32 array with the shape of the grid: for each cell, the removed share of its neighbourhood, in
-            [0, 1]. The cells of the neighbourhood have Gaussian weights (SMOOTHING_CELLS).
-        surface: (3, N) centres of cells next to the remaining surface, relative to the origin of the silhouettes.
+        share: float32 array with the shape of the grid: for each cell, the fraction of its neighbourhood that is
+            removed, in [0, 1]. The cells of a neighbourhood have Gaussian weights (SMOOTHING_CELLS).
+        surface: (3, N) centres of the cells near the new surface of the hull, relative to the silhouettes' origin.
     """
 
     hull: FilledHull
@@ -115,12 +115,12 @@ class _RemovedParts:
     surface: NDArray[np.float32]
 
     def depth(self, xyz: NDArray[np.float32], limit: float) -> NDArray[np.float32]:
-        """Amount (N,) by which the signed distance at points (3, N) decreases because of the removed parts.
+        """Compute the amount (N,) by which the removed parts decrease the signed distance at points (3, N).
 
-        The amount is at most ``2 * limit``, which changes the distance ``limit`` to ``-limit``. At a flat surface, the
-        occupancy (1 inside the hull, 0 outside), smoothed with a Gaussian, changes by 1 / (sigma * sqrt(2 * pi)) per
-        unit of distance. Here, sigma is the standard deviation of the Gaussian: SMOOTHING_CELLS times the side of a
-        cell. The removed share of a neighbourhood is divided by this slope to get a distance.
+        Occupancy is 1 inside the hull and 0 outside. If it is smoothed with a Gaussian of standard deviation sigma
+        (SMOOTHING_CELLS times the cell size), its slope at a flat surface is 1 / (sigma * sqrt(2 * pi)) per unit of
+        distance. The removed fraction of a neighbourhood is divided by this slope to get a distance, which is clamped
+        to ``2 * limit``, the amount that changes ``limit`` to ``-limit``.
         """
         index = (xyz.astype(np.float64) - self.hull.lower[:, None]) / self.hull.side
         share = map_coordinates(self.share, index, order=1, mode="nearest", prefilter=False)
@@ -130,7 +130,7 @@ class _RemovedParts:
 
 
 def _removed_parts(views: Silhouettes, lower: Array, upper: Array, side: float) -> _RemovedParts | None:
-    """Find the hull's excess parts with cells of side length ``side``. Return None if there are no excess parts."""
+    """Find the hull's excess parts on a grid with cells of side length ``side``. Return None if there are none."""
     hull = fill_hull(views, lower, upper, side)
     if len(hull.cells) == 0:
         return None
@@ -144,11 +144,11 @@ def _removed_parts(views: Silhouettes, lower: Array, upper: Array, side: float) 
 
 
 def surface_band(centres: Array, anchor: Array, side: float) -> tuple[NDArray[np.int64], Array]:
-    """Integer positions (N, 3) of the cubes in a band, and the world position (3,) of the lower corner of the cube at
-    (0, 0, 0). A cube is in the band if it is at most BAND_CELLS cubes away, along each axis, from a cube that contains
-    one of the points ``centres`` (P, 3).
+    """Find the cubes in a band around the points ``centres`` (P, 3). A cube is in the band if, along each axis, it is
+    at most BAND_CELLS cubes away from a cube that contains one of the points.
 
-    The lattice of cubes is placed such that ``anchor`` (3,) is the centre of a cube.
+    The cube lattice is placed such that ``anchor`` (3,) is the centre of a cube. Return the cubes' integer positions
+    (N, 3), and the world position (3,) of the lower corner of the cube at (0, 0, 0).
     """
     index = np.unique(np.rint((centres - anchor) / side).astype(np.int64), axis=0)
     reach = np.arange(-BAND_CELLS, BAND_CELLS + 1)

@@ -12,11 +12,11 @@ from torch import Tensor
 from fourd.cameras import Camera
 
 MIN_COSINE = 0.25
-"""Minimum cosine between normal and viewing direction. Points with a smaller cosine are seen at a grazing angle and are
-not compared."""
+"""Minimum cosine between the normal and the direction to the camera. Points with a smaller cosine are seen at a grazing
+angle and are not compared."""
 
 DEPTH_TOLERANCE_PX = 3.0
-"""A point counts as visible even if it lies slightly behind the depth image of a view. The maximum depth difference is
+"""A point that lies slightly behind a view's depth image still counts as visible. The depth difference may be at most
 the length that this number of pixels covers on the surface at the point."""
 
 
@@ -28,7 +28,7 @@ class PhotoView:
         camera: pinhole camera.
         rgb: (1, 3, H, W) float32 image in [0, 1].
         matte: (H, W) float32 matte in [0, 1].
-        depth: (1, 1, H, W) float32 depth of the current mesh. A large number marks pixels where the view shows no mesh.
+        depth: (1, 1, H, W) float32 depth of the current mesh. Pixels that do not show the mesh have a very large depth.
         rotation: (3, 3) float32 R_camera_world.
         translation: (3,) float32 T_camera_world.
         intrinsics: (3, 3) float32, in pixels.
@@ -44,12 +44,11 @@ class PhotoView:
 
 
 def photo_loss(xyz: Tensor, normals: Tensor, pixels: Tensor, target: PhotoView, sources: Sequence[PhotoView]) -> Tensor:
-    """Mean colour difference between a target view and the source views that see the same surface points.
+    """Return the mean colour difference between a target view and the source views that see the same surface points.
 
-    A source view sees a point if the surface at the point faces the camera of the view, and if no other part of the
-    mesh hides the point. For each point, the colour differences to the source views that see the point are computed,
-    and only the smallest half of the differences is used. Most highlights and most errors of the visibility test are
-    thus ignored.
+    A source view sees a point if the surface there faces the view's camera and no other part of the mesh hides the
+    point. Of each point's colour differences to the source views that see it, only the smaller half counts. This
+    ignores most highlights and most errors of the visibility test.
 
     Args:
         xyz: (P, 3) surface points, differentiable.
@@ -59,7 +58,7 @@ def photo_loss(xyz: Tensor, normals: Tensor, pixels: Tensor, target: PhotoView, 
         sources: views with which the target view is compared, at least one.
 
     Returns:
-        the loss as a scalar, 0 if no source view sees a point.
+        the loss as a scalar, 0 if no source view sees any of the points.
     """
     wanted = target.rgb[0][:, pixels[:, 0], pixels[:, 1]].T
     differences, seen = [], []
@@ -75,8 +74,8 @@ def photo_loss(xyz: Tensor, normals: Tensor, pixels: Tensor, target: PhotoView, 
 
 
 def _sample_view(xyz: Tensor, normals: Tensor, view: PhotoView) -> tuple[Tensor, Tensor]:
-    """For one view: the colours (P, 3) that its image shows at the points, and a mask (P,) that is true for the points
-    that the view sees."""
+    """Sample the colours (P, 3) that a view's image shows at the points. Also return a mask (P,) that is true for the
+    points that the view sees."""
     in_camera = xyz @ view.rotation.T + view.translation
     depth = in_camera[:, 2].clamp(min=1e-6)
     projected = in_camera @ view.intrinsics.T

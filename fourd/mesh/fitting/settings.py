@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class FitSettings:
-    """Settings for fitting the surface of a frame to the views of the frame.
+    """Settings for fitting a frame's surface to its views.
 
     Attributes:
-        steps: number of gradient steps, 0 or more. With 0 steps, the mesh has the surface of the visual hull.
-        rate: initial learning rate of distances and offsets, in units of a cube's side, more than 0. At the last step,
-            the rate is a tenth of the initial rate.
+        steps: number of gradient steps, 0 or more. If 0, the mesh is the surface of the visual hull.
+        rate: initial learning rate of distances and offsets, in units of the cube side, more than 0. It falls to a
+            tenth at the last step.
         silhouette: weight of the squared difference between rendered and given mattes.
         photo: weight of the colour difference between different views of the same surface point.
-        laplacian: weight of :func:`fourd.mesh.surface.losses.laplacian_loss`, whose lengths are in units of a cube's
-            side.
+        laplacian: weight of :func:`fourd.mesh.surface.losses.laplacian_loss`, computed with lengths in units of the
+            cube side.
         normal: weight of :func:`fourd.mesh.surface.losses.normal_consistency_loss`.
-        sources: number of source views with which each target view is compared.
+        sources: number of source views that each target view is compared with.
         seed: seed of the random order of the views.
     """
 

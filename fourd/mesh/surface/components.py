@@ -1,4 +1,4 @@
-"""Connected parts of a mesh."""
+"""Removal of small connected parts from a mesh."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ Floats = NDArray[np.float32]
 def drop_crumbs(
     xyz: Floats, triangles: NDArray[np.integer], min_share: float = 0.01
 ) -> tuple[Floats, NDArray[np.int64]]:
-    """Remove small connected parts of a mesh, and closed cavities.
+    """Remove small connected parts and closed cavities from a mesh.
 
     Args:
         xyz: (N, 3) vertices.
         triangles: (M, 3) vertex indices, counter-clockwise seen from outside.
-        min_share: minimum area of a part that is kept, as a share in [0, 1] of the area of the largest part.
+        min_share: parts are kept if their area is at least this fraction, in [0, 1], of the largest part's area.
 
     Returns:
-        the remaining vertices and triangles, in their original order. Unused vertices are removed. Parts with
-        negative volume are cavities. If all parts have negative volumes, no part is treated as a cavity.
+        the remaining vertices and triangles, in their original order, without unused vertices. Parts without positive
+        volume are cavities and are removed, unless no part has positive volume.
 
     Raises:
         ValueError: if ``min_share`` is outside [0, 1].

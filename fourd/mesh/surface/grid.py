@@ -1,9 +1,9 @@
 """Tetrahedral grids that cover a set of cubes.
 
-The vertices form a body-centred cubic lattice: they are the corners and the centres of the cubes. Each face that two
-cubes share produces four tetrahedra, one for each edge of the face. In each tetrahedron, the edge opposite to the
-face's edge joins the centres of the two cubes. All tetrahedra are congruent, and their dihedral angles are 60 and 90
-degrees (Labelle and Shewchuk 2007, sec. 3).
+The vertices are the corners and the centres of the cubes, which form a body-centred cubic lattice. Each face that two
+cubes share produces four tetrahedra, one for each edge of the face. The tetrahedron of an edge has four vertices: the
+two ends of the edge and the centres of the two cubes. All tetrahedra are congruent, and their dihedral angles are 60
+and 90 degrees (Labelle and Shewchuk 2007, sec. 3).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 _KEY_BITS = 20
-"""Number of bits for each coordinate in the key of a lattice vertex."""
+"""Number of bits of each coordinate in a lattice vertex's key."""
 
 _FACE = ((0, 0), (1, 0), (1, 1), (0, 1))
 """Corners of a cube's face, in order around the face."""
@@ -28,8 +28,8 @@ class TetrahedralGrid:
 
     Attributes:
         xyz: (V, 3) float32 positions of the vertices, in world units.
-        tetrahedra: (T, 4) int64 vertex indices. The three edges that start at the first vertex of a tetrahedron have a
-            positive determinant.
+        tetrahedra: (T, 4) int64 vertex indices. The edges from a tetrahedron's first vertex to the other three form a
+            matrix with a positive determinant.
         is_border: (V,) bool, true for vertices on the border of the grid.
         side: side length of a cube in world units.
     """
@@ -64,10 +64,10 @@ def box_grid(lower: NDArray[np.floating], upper: NDArray[np.floating], cells: in
 
 
 def cube_grid(cubes: NDArray[np.integer], lower: NDArray[np.floating], side: float) -> TetrahedralGrid:
-    """Create a grid from cubes of a regular lattice. Tetrahedra exist only between pairs of cubes that share a face.
+    """Create a grid from cubes of a regular lattice. Only pairs of cubes that share a face produce tetrahedra.
 
     Args:
-        cubes: (N, 3) distinct integer positions of cubes, from 0 to 2^18.
+        cubes: (N, 3) distinct integer cube positions, from 0 to 2^18.
         lower: (3,) world position of the lower corner of the cube (0, 0, 0).
         side: side length of a cube in world units, more than 0.
 
@@ -97,8 +97,8 @@ def cube_grid(cubes: NDArray[np.integer], lower: NDArray[np.floating], side: flo
 
 
 def _tetrahedra_along(cubes: NDArray[np.int64], axis: int) -> NDArray[np.int64]:
-    """Corners (T, 4, 3) of the tetrahedra between cubes that are neighbours along ``axis``. The unit of the coordinates
-    is half the side of a cube."""
+    """Return the corners (T, 4, 3) of the tetrahedra between cubes that are neighbours along ``axis``. Coordinates are
+    in units of half a cube side."""
     step = np.zeros(3, np.int64)
     step[axis] = 1
     keys = np.sort(_keys(cubes))
@@ -116,13 +116,13 @@ def _tetrahedra_along(cubes: NDArray[np.int64], axis: int) -> NDArray[np.int64]:
 
 
 def _keys(positions: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One integer key for each position (..., 3). Different positions have different keys."""
+    """Return a unique integer key for each position (..., 3)."""
     x, y, z = np.moveaxis(positions, -1, 0)
     return (x << (2 * _KEY_BITS)) | (y << _KEY_BITS) | z
 
 
 def _border_vertices(tetrahedra: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
-    """(V,) bool, true for vertices of a face that belongs to only one tetrahedron."""
+    """Return a mask (V,) that is true for the vertices of faces that belong to only one tetrahedron."""
     faces = np.sort(np.concatenate([np.delete(tetrahedra, corner, axis=1) for corner in range(4)]), axis=1)
     # In the sorted list, the two copies of a shared face are adjacent.
     order = np.lexsort(faces.T)

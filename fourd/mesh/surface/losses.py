@@ -14,8 +14,8 @@ class MeshTopology:
 
     Attributes:
         edges: (E, 2) int64 vertex indices of each edge, the smaller index first. Each edge occurs once.
-        neighbours: (P, 2) int64 indices of two triangles that share an edge. An edge that n triangles share gives n - 1
-            pairs of triangles.
+        neighbours: (P, 2) int64 indices of pairs of triangles that share an edge. An edge with n triangles gives n - 1
+            pairs.
         vertex_count: number of vertices.
     """
 
@@ -25,7 +25,7 @@ class MeshTopology:
 
     @staticmethod
     def of(triangles: Tensor, vertex_count: int) -> MeshTopology:
-        """Find the edges of ``triangles`` (M, 3), which are integer vertex indices below ``vertex_count``."""
+        """Find the edges of ``triangles`` (M, 3), whose integer vertex indices are below ``vertex_count``."""
         triangles = triangles.long()
         sides = torch.cat([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
         owner = torch.arange(len(triangles), device=triangles.device).repeat(3)
@@ -39,11 +39,10 @@ class MeshTopology:
 
 
 def laplacian_loss(xyz: Tensor, topology: MeshTopology) -> Tensor:
-    """Mean squared length of the uniform Laplacian, which is the vector from a vertex to the mean of its neighbours.
+    """Return the mean squared length of the uniform Laplacian, the vector from a vertex to the mean of its neighbours.
 
-    Minimising the uniform Laplacian (Desbrun et al. 1999) moves vertices along the normal, which smooths the surface.
-    The loss also moves vertices in the tangent plane, which makes triangles regular. Vertices without neighbours are
-    ignored.
+    Minimising the uniform Laplacian (Desbrun et al. 1999) moves vertices along the normal, which smooths the surface,
+    and in the tangent plane, which makes triangles regular. Vertices without neighbours are ignored.
 
     Args:
         xyz: (N, 3) vertices, differentiable.
@@ -63,10 +62,11 @@ def laplacian_loss(xyz: Tensor, topology: MeshTopology) -> Tensor:
 
 
 def normal_consistency_loss(xyz: Tensor, triangles: Tensor, topology: MeshTopology) -> Tensor:
-    """Mean of 1 - c, where c is the cosine of the angle between the normals of two triangles that share an edge.
+    """Return the mean of 1 - c, where c is the cosine of the angle between the normals of two triangles that share an
+    edge.
 
-    The loss of a flat mesh is 0. A triangle without area has the normal 0, so each pair with this triangle has the loss
-    1 and the gradient 0.
+    The loss of a flat mesh is 0. A triangle without area has a zero normal, so each pair that contains it contributes
+    the loss 1 and no gradient.
 
     Args:
         xyz: (N, 3) vertices, differentiable.
@@ -82,7 +82,7 @@ def normal_consistency_loss(xyz: Tensor, triangles: Tensor, topology: MeshTopolo
 
 
 def edge_length_loss(xyz: Tensor, topology: MeshTopology, length: float | None = None) -> Tensor:
-    """Mean of (edge length - ``length``)^2 / ``length``^2 over all edges.
+    """Return the mean of (edge length - ``length``)^2 / ``length``^2 over all edges.
 
     Args:
         xyz: (N, 3) vertices, differentiable.
@@ -91,7 +91,7 @@ def edge_length_loss(xyz: Tensor, topology: MeshTopology, length: float | None =
             mean length of the edges, which is treated as a constant.
 
     Returns:
-        a scalar without unit, 0 for a mesh without edges.
+        a dimensionless scalar, 0 for a mesh without edges.
 
     Raises:
         ValueError: if ``length`` is not positive.
@@ -108,8 +108,8 @@ def edge_length_loss(xyz: Tensor, topology: MeshTopology, length: float | None =
 
 
 def triangle_normals(xyz: Tensor, triangles: Tensor) -> Tensor:
-    """Unit normals (M, 3) of triangles (M, 3). The normals point outward for counter-clockwise triangles, and are 0 for
-    triangles without area.
+    """Compute the unit normals (M, 3) of triangles (M, 3). A normal points to the side from which the triangle is
+    counter-clockwise, and is 0 if the triangle has no area.
 
     The normals are differentiable in ``xyz`` (N, 3).
     """
@@ -118,8 +118,8 @@ def triangle_normals(xyz: Tensor, triangles: Tensor) -> Tensor:
 
 
 def vertex_normals(xyz: Tensor, triangles: Tensor) -> Tensor:
-    """Unit normals (N, 3) of the vertices. A vertex normal is the mean of the normals of the adjacent triangles,
-    weighted by their areas. The result is differentiable."""
+    """Compute the unit normals (N, 3) of the vertices, which are differentiable. A vertex normal is the area-weighted
+    mean of the adjacent triangles' normals, normalised to unit length."""
     triangles = triangles.long()
     a, b, c = (xyz[triangles[:, corner]] for corner in range(3))
     weighted = torch.linalg.cross(b - a, c - a)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
-"""The six edges of a tetrahedron, each as the indices of the two corners at its ends."""
+"""The six edges of a tetrahedron, each given by the indices of its two corners."""
 
 _CUTS = (
     (-1, -1, -1, -1, -1, -1),
@@ -28,21 +28,20 @@ _CUTS = (
     (0, 2, 1, -1, -1, -1),
     (-1, -1, -1, -1, -1, -1),
 )
-"""The triangles in a tetrahedron, one row for each set of corners that are inside the surface. Bit i of the row's index
-is set if corner i is inside. Three successive numbers are one triangle: the indices of the edges on which its vertices
-lie, or -1 for no triangle. If the determinant of the tetrahedron is positive, the triangles are counter-clockwise seen
-from outside."""
+"""The triangles in a tetrahedron, one row for each set of corners inside the surface: bit i of the row's index is set
+if corner i is inside. Each triple of numbers is one triangle, given by the indices of the edges on which its vertices
+lie, or -1 for no triangle. If the tetrahedron's determinant is positive, the triangles are counter-clockwise seen from
+outside."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A triangle mesh that marching tetrahedra extracted.
+    """A triangle mesh extracted by marching tetrahedra.
 
     Attributes:
         xyz: (N, 3) positions of the vertices, differentiable.
         triangles: (M, 3) int64 vertex indices, counter-clockwise seen from outside.
-        edges: (N, 2) int64 indices of two grid vertices for each mesh vertex: the ends of the grid's edge on which the
-            mesh vertex lies.
+        edges: (N, 2) int64 indices of grid vertices: the two ends of the grid edge on which each mesh vertex lies.
     """
 
     xyz: Tensor
@@ -51,22 +50,22 @@ class Surface:
 
 
 def marching_tetrahedra(xyz: Tensor, sdf: Tensor, tetrahedra: Tensor) -> Surface:
-    """Extract the surface where the linear interpolation of ``sdf`` is zero.
+    """Extract the surface where the linearly interpolated ``sdf`` is zero.
 
-    If an edge with the ends a and b is cut, its vertex is at (x_a * s_b - x_b * s_a) / (s_b - s_a), where x are
-    positions and s are signed distances (DMTet, eq. 1). Tetrahedra that share a cut edge also share the vertex on this
-    edge. The surface is therefore closed if it does not reach the border of the grid.
+    The surface cuts an edge with the ends a and b at (x_a * s_b - x_b * s_a) / (s_b - s_a), where x are positions and s
+    are signed distances (DMTet, eq. 1). All tetrahedra with a cut edge share the vertex on it, so the surface is closed
+    if it does not reach the border of the grid.
 
     Args:
         xyz: (V, 3) floating-point positions of the grid's vertices, differentiable.
-        sdf: (V,) signed distances of the same dtype, more than 0 inside, differentiable. A vertex with the distance 0
-            is outside. Only the signs and the ratios of the distances matter.
+        sdf: (V,) signed distances of the same dtype, positive inside, differentiable. A vertex with the distance 0 is
+            outside. Only the signs and the ratios of the distances matter.
         tetrahedra: (T, 4) int64 vertex indices with positive determinants, as in
             :class:`fourd.mesh.surface.grid.TetrahedralGrid`.
 
     Returns:
-        The surface. The surface has no vertices if all distances have the same sign. In the backward pass, the set of
-        triangles is treated as constant.
+        The surface, which is empty if all distances have the same sign. The backward pass treats the set of triangles
+        as constant.
 
     Raises:
         TypeError, ValueError: for a wrong dtype or shape, with a message that names the argument.
@@ -92,7 +91,7 @@ def marching_tetrahedra(xyz: Tensor, sdf: Tensor, tetrahedra: Tensor) -> Surface
 
 
 def _cut_points(xyz: Tensor, sdf: Tensor, edges: Tensor) -> Tensor:
-    """Positions (N, 3) where the signed distance is zero along the edges (N, 2)."""
+    """Compute the positions (N, 3) on the edges (N, 2) where the signed distance is zero."""
     first, second = edges.unbind(dim=1)
     share = sdf[first] / (sdf[first] - sdf[second])
     return xyz[first] + share[:, None] * (xyz[second] - xyz[first])

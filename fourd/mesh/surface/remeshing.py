@@ -11,7 +11,7 @@ ITERATIONS = 5
 
 
 def remeshing_is_available() -> bool:
-    """Whether the optional package gpytoolbox is installed."""
+    """Return True if the optional package gpytoolbox is installed."""
     return importlib.util.find_spec("gpytoolbox") is not None
 
 
@@ -21,7 +21,7 @@ def remesh(
     """Replace the triangles of a closed mesh by nearly equilateral triangles (Botsch and Kobbelt 2004).
 
     Long edges are split, short edges are collapsed, and edges are flipped. Vertices are smoothed in the tangent plane
-    and then projected onto the given surface. Not differentiable.
+    and then projected onto the given surface. The function is not differentiable.
 
     Args:
         xyz: (N, 3) finite vertices.

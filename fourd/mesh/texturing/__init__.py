@@ -1,1 +1,1 @@
-"""Texture atlases, and computation of their colours from source views."""
+"""Texture atlases whose colours are computed from source views."""

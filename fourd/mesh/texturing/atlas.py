@@ -1,4 +1,4 @@
-"""Texture atlases: charts of a mesh in a square texture, computed with the library xatlas."""
+"""Texture atlases, which pack the charts of a mesh into a square texture, computed with the library xatlas."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from fourd.ops.meshes.ids import decode_ids
 from fourd.raster.triangles import rasterize
 
 PADDING_TEXELS = 2
-"""Distance between charts in texels. The distance is large enough that bilinear samples at a chart's border do not
-include texels of other charts."""
+"""Distance between charts in texels, large enough that bilinear samples at a chart's border include no texels of other
+charts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +21,7 @@ class Atlas:
     """Charts of a mesh. A vertex at a chart border occurs once for each chart that contains it.
 
     Attributes:
-        source: (N,) int64 indices of vertices of the original mesh, one for each vertex of the atlas.
+        source: (N,) int64 index of each atlas vertex in the original mesh.
         triangles: (M, 3) int32 vertex indices, in the order of the original triangles.
         uv: (N, 2) float32 texture coordinates in [0, 1]. (0, 0) is the upper left corner of the texture.
         chart_count: number of charts.
@@ -48,7 +48,7 @@ class Texels:
     weights: NDArray[np.float32]
 
     def interpolate(self, values: NDArray[np.float32], triangles: NDArray[np.integer]) -> NDArray[np.float32]:
-        """Interpolate ``values`` (N, C) of vertices at the covered texels. Return (P, C).
+        """Interpolate the vertex attributes ``values`` (N, C) at the covered texels. Return (P, C).
 
         ``triangles`` (M, 3) are indices into ``values``.
         """

@@ -15,16 +15,15 @@ from fourd.mesh.views import MeshView
 Floats = NDArray[np.float32]
 
 ANGLE_POWER = 6
-"""One factor of a view's weight is the cosine between the normal and the direction to the camera, raised to this power.
-A high power gives sharp textures, because few views are mixed. A low power makes differences between the views less
-visible."""
+"""Exponent of the cosine between the normal and the direction to the camera in a view's weight. A high exponent gives
+sharp textures, because few views are mixed. A low exponent makes colour differences between the views less visible."""
 
 MIN_COSINE = 0.1
 """A view does not colour a point if the cosine between the normal and the direction to the camera is at most this
 value, because the view sees the point at a grazing angle."""
 
 CHUNK = 1 << 19
-"""Number of points that are coloured in one block. The block size limits the memory for large textures."""
+"""Number of points that are coloured at once, which limits the memory for large textures."""
 
 
 def blend_views(xyz: Floats, normals: Floats, views: Sequence[MeshView], occluder: Occluder) -> tuple[Floats, Floats]:
@@ -32,8 +31,8 @@ def blend_views(xyz: Floats, normals: Floats, views: Sequence[MeshView], occlude
 
     The weight of a view is cos^p * m^2, where cos is the cosine between the normal and the direction to the camera, p
     is ANGLE_POWER, and m is the smallest matte value of the 3 x 3 pixels around the point. The factor m^2 gives little
-    weight to pixels at the contour, because these pixels mix subject and background. The weight is 0 if the mesh hides
-    the point from the camera (:class:`fourd.mesh.texturing.visibility.Occluder`).
+    weight to pixels at the contour, where subject and background mix. The weight is 0 if the mesh hides the point from
+    the camera (:class:`fourd.mesh.texturing.visibility.Occluder`).
 
     Args:
         xyz: (P, 3) points on the mesh.
@@ -42,8 +41,8 @@ def blend_views(xyz: Floats, normals: Floats, views: Sequence[MeshView], occlude
         occluder: the mesh.
 
     Returns:
-        rgb: (P, 3) float32 colours in [0, 1]. The colour is 0 where no view sees the point.
-        weight: (P,) float32 sum of the views' weights. The sum is 0 where no view sees the point.
+        rgb: (P, 3) float32 colours in [0, 1], 0 where no view sees the point.
+        weight: (P,) float32 sum of the views' weights, 0 where no view sees the point.
     """
     rgb, weight = np.zeros((len(xyz), 3), np.float32), np.zeros(len(xyz), np.float32)
     square = np.ones((3, 3), np.uint8)
@@ -60,7 +59,7 @@ def blend_views(xyz: Floats, normals: Floats, views: Sequence[MeshView], occlude
 def _add_view(
     view: MeshView, matte: Floats, occluder: Occluder, xyz: Floats, normals: Floats, rgb: Floats, weight: Floats
 ) -> None:
-    """Add the weighted colours of one view to ``rgb`` (P, 3) and the weights to ``weight`` (P,), in place."""
+    """Add one view's weighted colours to ``rgb`` (P, 3) and its weights to ``weight`` (P,), in place."""
     camera = view.camera
     rays = camera.centre.astype(np.float32) - xyz
     cosine = (rays * normals).sum(axis=1) / np.maximum(np.linalg.norm(rays, axis=1), np.float32(1e-12))

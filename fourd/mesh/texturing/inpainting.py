@@ -1,4 +1,4 @@
-"""Colours for parts of a mesh that no view sees, and for the texels between charts."""
+"""Computes colours for the parts of a mesh that no view sees, and for the texels between charts."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from scipy.sparse.linalg import spsolve
 Floats = NDArray[np.float32]
 
 GREY = 0.5
-"""Colour of connected parts of a mesh that are invisible in all views."""
+"""Grey value of connected mesh parts that no view sees."""
 
 
 def fill_vertices(rgb: Floats, known: NDArray[np.bool_], triangles: NDArray[np.integer]) -> Floats:
     """Compute the colours of all vertices from the known colours of some vertices.
 
     The other vertices get harmonic colours: each colour is the mean of the neighbours' colours (membrane inpainting on
-    the surface). Two vertices are neighbours if an edge of the mesh connects them. Closeness in the texture is not
-    used, because charts that are side by side may belong to different parts of the surface.
+    the surface). Neighbours are vertices that share a mesh edge, not vertices that are close in the texture, because
+    adjacent charts may belong to different parts of the surface.
 
     Args:
         rgb: (N, 3) colours.
@@ -36,7 +36,7 @@ def fill_vertices(rgb: Floats, known: NDArray[np.bool_], triangles: NDArray[np.i
     columns = np.concatenate([triangles[:, a] for a in (1, 2, 0, 0, 1, 2)])
     adjacency = coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()
     adjacency.data[:] = 1
-    # A small weight towards grey keeps the linear system regular if a connected part of the mesh has no known colour.
+    # A small weight towards grey keeps the linear system nonsingular if a connected mesh part has no known colour.
     grey_weight = 1e-6
     degree = np.asarray(adjacency.sum(axis=1)).ravel() + grey_weight
     unknown = np.flatnonzero(~known)
@@ -51,7 +51,7 @@ def fill_vertices(rgb: Floats, known: NDArray[np.bool_], triangles: NDArray[np.i
 def fill_between_charts(texture: Floats, covered: NDArray[np.bool_]) -> Floats:
     """Give each texel outside the charts the colour of the nearest texel in a chart.
 
-    Bilinear samples at the borders of charts, and coarser mip levels, then contain only colours of charts.
+    This keeps other colours out of bilinear samples at the borders of charts and out of coarser mip levels.
 
     Args:
         texture: (S, S, 3) colours.

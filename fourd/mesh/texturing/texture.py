@@ -1,4 +1,4 @@
-"""Computation of the texture of one mesh from the images of its frame."""
+"""Computes a mesh's texture from the images of its frame."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fourd.mesh.views import MeshView
 
 @dataclass(frozen=True, eq=False)
 class TexturedMesh:
-    """A triangle mesh with a texture. A vertex at the border of a chart occurs once for each chart that contains it.
+    """A triangle mesh with a texture. A vertex at a chart border occurs once for each chart that contains it.
 
     Attributes:
         xyz: (N, 3) float32 vertices in world units.
@@ -39,11 +39,10 @@ class TexturedMesh:
 def texture_mesh(
     xyz: NDArray[np.float32], triangles: NDArray[np.integer], views: Sequence[MeshView], size: int
 ) -> TexturedMesh:
-    """Compute the texture of a mesh from the views of its frame.
+    """Compute a mesh's texture from the views of its frame.
 
-    The colour of each texel is blended from the views that see the texel
-    (:func:`fourd.mesh.texturing.blending.blend_views`). Texels that no view sees get colours from the surrounding
-    surface.
+    Each texel's colour is blended from the views that see it (:func:`fourd.mesh.texturing.blending.blend_views`).
+    Texels that no view sees get colours from the surrounding surface.
 
     Args:
         xyz: (N, 3) vertices in world units.
@@ -81,8 +80,7 @@ def texture_mesh(
 def colour_mesh(
     xyz: NDArray[np.float32], triangles: NDArray[np.integer], views: Sequence[MeshView]
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Compute the colours of a mesh's vertices from the views of its frame. The colours are computed as
-    :func:`texture_mesh` computes the colours of texels.
+    """Compute a mesh's vertex colours from the views of its frame, as :func:`texture_mesh` computes texel colours.
 
     Args:
         xyz: (N, 3) vertices in world units.
@@ -103,7 +101,7 @@ def colour_mesh(
 
 
 def _normals(xyz: NDArray[np.float32], triangles: NDArray[np.integer]) -> NDArray[np.float32]:
-    """Outward unit normals (N, 3) of the vertices."""
+    """Return the outward unit normals (N, 3) of the vertices."""
     faces = torch.from_numpy(np.asarray(triangles, np.int64))
     return np.asarray(vertex_normals(torch.from_numpy(xyz), faces).numpy(), np.float32)
 
@@ -115,7 +113,7 @@ def _vertex_colours(
     views: Sequence[MeshView],
     occluder: Occluder,
 ) -> NDArray[np.float32]:
-    """Colours (N, 3) of the vertices in [0, 1], including vertices that no view sees."""
+    """Compute the colours (N, 3) of all vertices in [0, 1], including vertices that no view sees."""
     rgb, weight = blend_views(xyz, normals, views, occluder)
     return fill_vertices(rgb, weight > 0, triangles)
 

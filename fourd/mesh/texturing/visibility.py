@@ -1,4 +1,4 @@
-"""Visibility of surface points from a camera, tested with rays from the surface to the camera."""
+"""Tests which surface points a camera sees, with rays from the surface to the camera."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from fourd.raster.rays import Bvh, occluded
 Floats = NDArray[np.float32]
 
 OFFSET_EDGES = 0.5
-"""Distance between the surface and the start of a ray, along the normal, in units of the mesh's mean edge length. The
-distance prevents small dents around a point from hiding the point."""
+"""Distance between the surface and a ray's origin, along the normal, in units of the mesh's mean edge length. It
+prevents small bumps around a point from hiding the point."""
 
 CORNERS_PX = ((-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5))
-"""Image positions of the four rays that are traced for each point, in pixels relative to the projected point. The
-positions are the corners of a square with the side length of one pixel around the point. One ray is not enough, because
-a bilinear sample reads neighbouring pixels, which must not show a surface in front of the point."""
+"""Image positions of the four rays that are traced for each point, in pixels relative to the projected point: the
+corners of a square of one pixel around it. One ray is not enough, because a bilinear sample also reads neighbouring
+pixels, which must not show a surface in front of the point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +28,8 @@ class Occluder:
     """A mesh that hides points from cameras.
 
     Attributes:
-        bvh: tree over the triangles.
-        offset: distance between the surface and the start of a ray, in world units.
+        bvh: bounding volume hierarchy of the triangles.
+        offset: distance between the surface and a ray's origin, in world units.
     """
 
     bvh: Bvh
@@ -44,10 +44,10 @@ class Occluder:
         return Occluder(Bvh.build(torch.from_numpy(np.ascontiguousarray(xyz)), indices), OFFSET_EDGES * mean)
 
     def hides(self, xyz: Floats, normals: Floats, camera: Camera) -> NDArray[np.bool_]:
-        """Return (P,) bool, true for points that the mesh hides from a camera. A point also counts as hidden if the
-        mesh hides the surface half a pixel beside the point.
+        """Return a mask (P,) that is true for points that the mesh hides from a camera. A point also counts as hidden
+        if the mesh hides the surface half a pixel beside it.
 
-        Rays start in the tangent plane of the point, after the plane is moved outwards by ``offset``.
+        Rays start in the point's tangent plane, moved outwards by ``offset``.
 
         Args:
             xyz: (P, 3) points on the mesh, in front of the camera.
@@ -67,9 +67,9 @@ class Occluder:
             height = (towards * normal).sum(axis=1)
             with np.errstate(divide="ignore", invalid="ignore"):
                 t = ((start - centre) * normal).sum(axis=1) / height
-            # Near the contour, the line from the camera through a corner of the pixel meets the tangent plane far away
-            # or not at all. The traced ray starts on this line, at ``centre + t * towards``, which has the depth of
-            # ``start`` if t is 1. Limiting t keeps the start of the traced ray near the point.
+            # The traced ray starts where the line from the camera through a corner of the pixel meets the tangent
+            # plane, at ``centre + t * towards``. Near the contour, this is far away or nowhere, so t is clamped to keep
+            # the ray's origin near the point. At t = 1, the origin has the depth of ``start``.
             t = np.where(np.isfinite(t), t, 1).clip(0.5, 2).astype(np.float32)
             origins = centre + t[:, None] * towards
             rays = torch.from_numpy(origins), torch.from_numpy(centre - origins)

@@ -21,8 +21,8 @@ def antialias(
     """Return the blended colours (B, H, W, C), and a code (B, H, W) uint8 per pixel.
 
     ``pos`` is (B, V, 4), or (V, 4) if all images have the same vertices. A pixel forms one pair with its right
-    neighbour and one with its lower neighbour. The code of a pixel tells which silhouette edge crosses each of the
-    pixel's two pairs. ``csrc/antialias/maths.h`` describes the bits of the code. The backward pass reads the codes.
+    neighbour and one with its lower neighbour. Its code stores for each of the two pairs which silhouette edge crosses
+    it, for the backward pass. ``csrc/antialias/maths.h`` describes the bits of the code.
     """
     out, codes = _empty_outputs(color)
     inputs = (color, rast, pos if pos.ndim == 3 else pos[None], tri, opposite)
@@ -58,7 +58,7 @@ def antialias_backward(
     needs_pos: bool,
     threads: int,
 ) -> tuple[Tensor, Tensor]:
-    """Compute the gradients of the colours and positions. A gradient that is not needed is an empty tensor."""
+    """Compute the gradients of ``color`` and ``pos``. A gradient that is not needed is an empty tensor."""
     grad_color, grad_pos = _empty_gradients(color, pos, needs_color, needs_pos)
     inputs = (color, rast, pos if pos.ndim == 3 else pos[None], tri)
     instanced = pos.ndim == 3

@@ -1,5 +1,4 @@
-"""Search in plain torch for neighbouring pixels that show different triangles, and for the silhouette edges between
-them."""
+"""Finds neighbouring pixels that show different triangles, and the silhouette edges between them, in plain torch."""
 
 from __future__ import annotations
 
@@ -16,17 +15,16 @@ EDGES = ((1, 2), (2, 0), (0, 1))
 
 @dataclass(frozen=True)
 class Pairs:
-    """Pairs of neighbouring pixels along one axis. The owner of a pair is the pixel whose triangle is nearer.
+    """Pairs of neighbouring pixels along one axis. A pair's owner is the pixel whose triangle is nearer.
 
     Attributes:
         image: (N,) index of the pair's image in the batch.
         owner, other: (N,) indices of the two pixels in the flattened (batch, height, width) array.
         triangle: (N,) index of the triangle that the owner shows.
         other_triangle: (N,) index of the triangle that the other pixel shows, or -1 for the background.
-        centre: (N, 2) centre of the owner in normalised device coordinates: first the coordinate along the pair, then
-            the coordinate across the pair.
-        step: (N, 2) steps between neighbouring pixel centres in normalised device coordinates: first along the pair,
-            then across the pair. The step along the pair goes from the owner to the other pixel, so it can be negative.
+        centre: (N, 2) centre of the owner in normalised device coordinates, first along the pair, then across it.
+        step: (N, 2) distances between neighbouring pixel centres in normalised device coordinates, first along the
+            pair, then across it. The first is negative if the other pixel is left of or above the owner.
         axis: 0 for right neighbours, 1 for lower neighbours.
     """
 
@@ -53,7 +51,7 @@ class Pairs:
 
 
 def find_pairs(rast: Tensor, triangles: int, axis: int) -> Pairs:
-    """Return the pairs of neighbouring pixels that show different triangles."""
+    """Find the pairs of neighbouring pixels along ``axis`` that show different triangles."""
     batch, height, width, _ = rast.shape
     ids = decode_ids(rast[..., 3]).long()
     ids = torch.where(ids < triangles, ids, -1).reshape(-1)
@@ -77,8 +75,8 @@ def find_pairs(rast: Tensor, triangles: int, axis: int) -> Pairs:
 
 
 def see(pairs: Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
-    """Return the clip coordinates (along, across, w), (N, K, 3), of the vertices with the indices (N, K). The origin is
-    the centre of the pair's owner (the pixel whose triangle is nearer)."""
+    """Return the clip coordinates (N, K, 3) of the vertices with indices (N, K), in the order along the pair, across
+    the pair, w. Their origin is the centre of the pair's owner (the pixel whose triangle is nearer)."""
     x, y, w = clip[pairs.image[:, None], vertices].unbind(-1)
     along, across = (x, y) if pairs.axis == 0 else (y, x)
     return torch.stack((along - pairs.centre[:, :1] * w, across - pairs.centre[:, 1:] * w, w), -1)
@@ -87,9 +85,9 @@ def see(pairs: Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
 def line_of(pairs: Pairs, p: Tensor, q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """For each pair, return a linear function of the image position that is 0 on the edge from p to q.
 
-    The first result is the value (N,) of the function at the centre of the pair's owner (the pixel whose triangle is
-    nearer). The second result is the decrease (N,) of the function per pixel along the pair, from the owner to the
-    other pixel. The third result is the decrease (N,) per pixel across the pair.
+    The first result (N,) is the function's value at the centre of the pair's owner (the pixel whose triangle is
+    nearer). The second (N,) is its decrease per pixel from the owner towards the other pixel. The third (N,) is its
+    decrease per pixel across the pair.
     """
     value = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
     along = pairs.step[:, 0] * (p[:, 2] * q[:, 1] - p[:, 1] * q[:, 2])
@@ -99,7 +97,7 @@ def line_of(pairs: Pairs, p: Tensor, q: Tensor) -> tuple[Tensor, Tensor, Tensor]
 
 def crossed_edge(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor) -> Tensor:
     """For each pair of pixels, find the silhouette edge of the nearer triangle that crosses the segment between the two
-    pixel centres. Return the index of this edge in the triangle (0 to 2), or -1 if there is no such edge."""
+    pixel centres. Return the edge's index in the triangle (0 to 2), or -1 if there is none."""
     seen = see(pairs, clip, tri.long()[pairs.triangle])
     lines = [line_of(pairs, seen[:, one], seen[:, two]) for one, two in EDGES]
     value, along, across = (torch.stack(parts, 1) for parts in zip(*lines, strict=True))
@@ -109,7 +107,7 @@ def crossed_edge(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor) -> T
     perpendicular = (along >= across) if pairs.axis == 0 else (along > across)
     crossing = value / along
     valid = perpendicular & (along > 0) & (crossing >= -TOLERANCE_PX) & (crossing <= 1 + TOLERANCE_PX)
-    # If several edges have the same crossing, the last of them is selected, as in the kernels.
+    # If several edges cross at the same position, the last of them is selected, as in the kernels.
     nearest, edge = torch.where(valid, crossing, torch.inf).flip(1).min(1)
     edge = 2 - edge
     slack = TOLERANCE_PX * (along.abs() + across)
@@ -119,8 +117,8 @@ def crossed_edge(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor) -> T
 
 
 def _is_silhouette(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor, edge: Tensor) -> Tensor:
-    """Return whether each edge is a silhouette. An edge is a silhouette if it has no neighbouring triangle, or if the
-    neighbouring triangle lies on the same side of the edge as the triangle itself."""
+    """Return a mask of the edges that are silhouettes. An edge is a silhouette if the triangle has no neighbour across
+    it, or if that neighbour projects to the same side of the edge as the triangle itself."""
     neighbour = opposite.long()[pairs.triangle, edge]
     corners = tri.long()[pairs.triangle]
     ends = corners.gather(1, torch.tensor(EDGES, device=tri.device)[edge])
@@ -132,8 +130,8 @@ def _is_silhouette(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor, ed
 
 
 def _side(p: Tensor, q: Tensor, r: Tensor) -> Tensor:
-    """Return the determinants (N,) of the clip coordinates p, q and r, (N, 3) each. The sign of a determinant shows on
-    which side of the edge from p to q the point r lies."""
+    """Return the determinants (N,) of the clip coordinates p, q and r, each (N, 3). A determinant's sign tells on which
+    side of the edge from p to q the point r lies."""
     e, d = q - p, r - p
     x = e[:, 1] * d[:, 2] - e[:, 2] * d[:, 1]
     y = e[:, 2] * d[:, 0] - e[:, 0] * d[:, 2]
@@ -142,9 +140,9 @@ def _side(p: Tensor, q: Tensor, r: Tensor) -> Tensor:
 
 
 def crossing_of_edge(pairs: Pairs, clip: Tensor, tri: Tensor, edge: Tensor) -> Tensor:
-    """Return the distance (N,), in pixels, from the centre of each owner (the pixel whose triangle is nearer) to the
-    point where an edge of this triangle crosses the pair. ``edge`` (N,) is the index of the edge, 0 to 2. The distance
-    is differentiable."""
+    """Return the distance (N,), in pixels, from the centre of each pair's owner (the pixel whose triangle is nearer) to
+    the point where the edge with index ``edge`` (N,), 0 to 2, of the owner's triangle crosses the pair. The distance is
+    differentiable."""
     ends = torch.tensor(EDGES, device=tri.device)[edge]
     seen = see(pairs, clip, tri.long()[pairs.triangle[:, None], ends])
     value, fall, _ = line_of(pairs, seen[:, 0], seen[:, 1])

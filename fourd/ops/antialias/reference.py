@@ -27,8 +27,8 @@ def antialias_reference(
         crossing = crossing_of_edge(pairs, clip, tri, edge)
         crossing = crossing + (crossing.clamp(0, 1) - crossing).detach()
         # ``crossing`` is the distance, in pixels, from the centre of the owner (the pixel whose triangle is nearer) to
-        # the edge. If it is below 0.5, the triangle ends inside this pixel, so the colour of the pair's other pixel is
-        # blended into the owner.
+        # the edge. If it is below 0.5, the triangle ends inside the owner, so the other pixel's colour is blended into
+        # the owner. Otherwise, the triangle extends into the other pixel, which gets some of the owner's colour.
         changes_owner = crossing < 0.5
         changed = torch.where(changes_owner, pairs.owner, pairs.other)
         source = torch.where(changes_owner, pairs.other, pairs.owner)

@@ -1,4 +1,4 @@
-"""Neighbours of triangles across their edges."""
+"""Finds the neighbours of triangles across their edges."""
 
 from __future__ import annotations
 
@@ -6,17 +6,16 @@ import torch
 from torch import Tensor
 
 NO_VERTEX = -1
-"""Value of the opposite vertex for edges that belong to only one triangle, or to more than two triangles."""
+"""Marks edges without a unique opposite vertex, which belong to only one triangle or to more than two."""
 
 
 @torch.no_grad()
 def opposite_vertices(tri: Tensor) -> Tensor:
-    """Return (T, 3) int32: for each edge of each triangle, the third vertex of the triangle's neighbour across the
-    edge.
+    """For each edge of each triangle, find the third vertex of the triangle's neighbour across the edge.
 
-    Column i belongs to the edge opposite to vertex i. The value is -1 if the edge belongs to only one triangle, or to
-    more than two triangles. Two triangles share an edge if both contain the edge's two vertices, in any order. The
-    function is not differentiable.
+    Return (T, 3) int32 vertex indices. Column i belongs to the edge opposite to vertex i, and is -1 if the edge belongs
+    to only one triangle or to more than two. Two triangles share an edge if both contain the edge's two vertices, in
+    any order. The function is not differentiable.
 
     Args:
         tri: (T, 3) int32 vertex indices.

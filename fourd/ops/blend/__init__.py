@@ -1,1 +1,1 @@
-"""Blend logits: the logarithms of the weights with which the colours of source views are blended (``csrc/blend``)."""
+"""Blend logits: the logarithms of the weights with which source views' colours are blended (``csrc/blend``)."""

@@ -14,8 +14,8 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 def blend_logits(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor) -> Tensor:
     """Compute ``5 * tanh((out . relu(point + weight @ sample) + bias) / 5)`` for every point and source view.
 
-    The function is the blend MLP of 4K4D (sec. 3.2). The argument ``point`` is the part of the first layer that depends
-    only on the point, so it is the same for all views. Float32 inputs on the CPU use a kernel that does not store the
+    This is the blend MLP of 4K4D (sec. 3.2). The argument ``point`` is the part of the first layer that depends only on
+    the point and is therefore the same for all views. Float32 inputs on the CPU use a kernel that does not store the
     hidden layer. Other inputs use :func:`fourd.ops.blend.reference.blend_logits_reference`.
 
     Args:
@@ -27,8 +27,8 @@ def blend_logits(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bi
         bias: (1,) bias of the output.
 
     Returns:
-        (V, N) logits in [-5, 5]. The logits are differentiable in all arguments. The gradient is bit-identical for any
-        number of threads.
+        (V, N) logits in [-5, 5], differentiable in all arguments. The gradient is bit-identical for any number of
+        threads.
 
     Raises:
         ValueError: if shapes do not match.

@@ -6,8 +6,7 @@ import torch
 from torch import Tensor
 
 LOGIT_RANGE = 5.0
-"""Blend logits are limited to [-LOGIT_RANGE, LOGIT_RANGE], so that a baked scene can store their exponentials in
-float16."""
+"""Blend logits lie in [-LOGIT_RANGE, LOGIT_RANGE], so that a baked scene can store their exponentials in float16."""
 
 
 def blend_logits_reference(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor) -> Tensor:

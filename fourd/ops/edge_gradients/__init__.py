@@ -1,1 +1,1 @@
-"""Gradients of moving visibility edges (``csrc/edge_gradients``). The forward pass returns the image unchanged."""
+"""Gradients of moving visibility edges (``csrc/edge_gradients``), which do not change the image in the forward pass."""

@@ -1,4 +1,4 @@
-"""Gradients of moving visibility edges in plain torch. The forward pass returns the image unchanged."""
+"""Gradients of moving visibility edges in plain torch."""
 
 from __future__ import annotations
 
@@ -35,10 +35,9 @@ class _MovingEdges(torch.autograd.Function):
     """Returns ``color`` unchanged.
 
     The backward pass treats each crossing as the position of a visibility edge that moves between the centres of two
-    neighbouring pixels. The owner is the pixel whose triangle is nearer. If the edge moves away from the owner by dt
-    pixels, the colour of one of the two pixels changes by ``dt * (c_owner - c_other)``, where c_owner and c_other are
-    the colours of the two pixels. It is not known which pixel changes, so the gradient is the mean of the gradients of
-    the two cases.
+    neighbouring pixels: the owner, whose triangle is nearer, and the other pixel. If the edge moves away from the owner
+    by dt pixels, the colour of one of the two pixels changes by ``dt * (c_owner - c_other)``, where c_owner and c_other
+    are their colours. It is not known which pixel changes, so the gradient is the mean over the two cases.
     """
 
     @staticmethod
@@ -58,20 +57,20 @@ class _MovingEdges(torch.autograd.Function):
 
 
 def _finite(crossing: Tensor) -> Tensor:
-    """Replace the crossings that are not finite by 0, so that they have no gradient."""
+    """Replace non-finite crossings by 0, so that they have no gradient."""
     return torch.where(crossing.isfinite(), crossing, 0)
 
 
 @dataclass(frozen=True)
 class _Planes:
-    """For each of N pairs of pixels, the depth z/w of one triangle as a linear function of the image position. The
+    """The depth z/w of one triangle for each of N pairs of pixels, as a linear function of the image position. The
     origin is the centre of the pair's owner (the pixel whose triangle is nearer).
 
     Attributes:
-        contains_pair: (N,) whether the triangle contains the centres of both pixels.
+        contains_pair: (N,) true if the triangle contains the centres of both pixels.
         depth: (N,) z/w at the centre of the owner.
-        fall, fall_across: (N,) decreases of z/w per pixel: along the pair, from the owner to the other pixel, and
-            across the pair.
+        fall: (N,) decrease of z/w per pixel along the pair, from the owner to the other pixel.
+        fall_across: (N,) decrease of z/w per pixel across the pair.
     """
 
     contains_pair: Tensor
@@ -93,17 +92,16 @@ def _planes_of(pairs: Pairs, clip: Tensor, tri: Tensor, triangle: Tensor) -> _Pl
 
 
 def _dot(one: Tensor, two: Tensor) -> Tensor:
-    """Return the dot products (N,) of rows (N, 3). The terms are added in the same order as in the kernel."""
+    """Return the dot products (N,) of rows (N, 3), with the kernel's order of summation."""
     return one[:, 0] * two[:, 0] + one[:, 1] * two[:, 1] + one[:, 2] * two[:, 2]
 
 
 def _intersect(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
-    """Return whether the triangles of each pair intersect between the pixel centres.
+    """Return a mask of the pairs whose triangles intersect between the pixel centres.
 
-    The triangles of a pair intersect if each of them contains both pixel centres, and if one triangle is nearer at one
-    centre and the other triangle is nearer at the other centre. An intersection line is ignored if its angle to the
-    segment between the centres is below 45 degrees. The same rule holds for silhouette edges. Triangles that share an
-    edge are not tested, because they intersect only along the edge.
+    The triangles of a pair intersect if both contain both pixel centres, and a different one is nearer at each centre.
+    As with silhouette edges, intersection lines at less than 45 degrees to the segment between the centres are ignored.
+    Triangles that share an edge are not tested, because they intersect only along the edge.
     """
     corners = tri.long()
     own, other = corners[pairs.triangle], corners[pairs.other_triangle.clamp(min=0)]
@@ -119,8 +117,7 @@ def _intersect(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
 
 def _crossing_of_intersection(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
     """Return the distance (N,), in pixels, from the centre of the owner (the pixel whose triangle is nearer) to the
-    point where the triangles of both pixels have the same z/w. The depth z/w of a triangle is a linear function of the
-    image position."""
+    point where the triangles of both pixels have the same depth z/w, which is linear in the image position."""
     one = _planes_of(pairs, clip, tri, pairs.triangle)
     two = _planes_of(pairs, clip, tri, pairs.other_triangle)
     return (one.depth - two.depth) / (one.fall - two.fall)

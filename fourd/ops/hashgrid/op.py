@@ -17,11 +17,11 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 def encode_hash_grid(coordinates: Tensor, table: Tensor, shape: HashGridShape) -> Tensor:
     """Interpolate every level of a hash grid trilinearly and concatenate the features.
 
-    The function computes the encoding of Instant-NGP, with the same constants (Mueller et al. 2022, Instant Neural
-    Graphics Primitives with a Multiresolution Hash Encoding, sec. 3). A level with r cells per side has s = r + 1
-    samples per side. If a level has at most 2^log2_entries samples in total, the sample with indices (x, y, z) is in
-    row ``x + y * s + z * s^2`` of the level. In a level with more samples, the sample (x, y, z) is in row ``(x xor
-    2654435761 * y xor 805459861 * z) mod 2^log2_entries``, computed in 32 bits.
+    This is the encoding of Instant-NGP, with the same constants (Mueller et al. 2022, Instant Neural Graphics
+    Primitives with a Multiresolution Hash Encoding, sec. 3). A level with r cells per side has s = r + 1 samples per
+    side. In a level with at most 2^log2_entries samples in total, the sample with indices (x, y, z) is in row
+    ``x + y * s + z * s^2`` of the level. In a larger level, it is in row
+    ``(x xor 2654435761 * y xor 805459861 * z) mod 2^log2_entries``, computed in 32 bits.
 
     Float32 inputs use a kernel on the CPU, and on a CUDA device if the CUDA kernels are built. Other inputs use
     :func:`fourd.ops.hashgrid.reference.encode_hash_grid_reference`.
@@ -33,13 +33,13 @@ def encode_hash_grid(coordinates: Tensor, table: Tensor, shape: HashGridShape) -
         shape: sizes of the grid.
 
     Returns:
-        (N, shape.out_features), coarsest level first. The features are differentiable in the table and in the
-        coordinates. Second derivatives are not supported. Clamped coordinates have a gradient of 0. Only the gradients
-        that autograd requests are computed. On the CPU, the gradient is bit-identical for any number of threads. On a
-        GPU, the gradient's last bits vary between calls.
+        (N, shape.out_features) features, coarsest level first, differentiable in the table and the coordinates. Second
+        derivatives are not supported, and clamped coordinates have a gradient of 0. Only the gradients that autograd
+        requests are computed. The gradient is bit-identical for any number of threads on the CPU, but its last bits
+        vary between calls on a GPU.
 
     Raises:
-        TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
+        TypeError, ValueError: for an invalid argument, with a message that names the argument and the expected value.
     """
     check_hash_grid(coordinates, table, shape)
     device = coordinates.device.type

@@ -19,7 +19,7 @@ def encode_hash_grid_reference(coordinates: Tensor, table: Tensor, shape: HashGr
 
 
 def _level(positions: Tensor, values: Tensor, resolution: int) -> Tensor:
-    """Interpolate the stored values (E, F) of one level at positions (N, 3) in [0, 1]. Returns (N, F)."""
+    """Interpolate the stored values (E, F) of one level at positions (N, 3) in [0, 1]. Return (N, F)."""
     scaled = positions * resolution
     low = scaled.detach().long().clamp(max=resolution - 1)
     fraction = scaled - low
@@ -37,6 +37,6 @@ def _entry_index(sample: Tensor, resolution: int, entries: int) -> Tensor:
     side = resolution + 1
     if side**3 <= entries:
         return x + y * side + z * side**2
-    # ``entries`` is a power of two of at most 2^24, so the mask ``entries - 1`` keeps at most the 24 lowest bits. The
-    # lowest 24 bits of a 64-bit product and of a 32-bit product are equal.
+    # ``entries`` is a power of two of at most 2^24, so the mask ``entries - 1`` keeps at most the 24 lowest bits, which
+    # are equal in a 64-bit product and a 32-bit product.
     return (x * PRIMES[0] ^ y * PRIMES[1] ^ z * PRIMES[2]) & (entries - 1)

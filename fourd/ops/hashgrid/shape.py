@@ -13,23 +13,21 @@ MAX_LEVELS = 32
 MAX_FEATURES = 8
 LOG2_ENTRIES_RANGE = (4, 24)
 ROW_ALIGNMENT = 16
-"""The index of the first table row of every level is a multiple of this number, so that levels start at a cache
-line."""
+"""The index of every level's first table row is a multiple of this number, so that levels start at a cache line."""
 MAX_RESOLUTION = 2**20
-"""Maximum number of cells per side. Up to this number of cells, float32 resolves at least 16 positions within a
-cell."""
+"""Maximum number of cells per side, at which float32 still resolves at least 16 positions within a cell."""
 
 
 @dataclass(frozen=True)
 class HashGridShape:
-    """Sizes of a hash grid. The description of each field contains the symbol of Mueller et al. 2022 in brackets.
+    """Sizes of a hash grid. The brackets contain the symbols of Mueller et al. 2022.
 
     Raises:
-        ValueError: for an invalid field. The error message names the field and the expected value.
+        ValueError: for an invalid field, with a message that names the field and the expected value.
     """
 
     levels: int = 16
-    """Number of levels (L), 1 to 32. Each level is a grid with its own resolution."""
+    """Number of levels (L), 1 to 32. Levels are grids of different resolutions."""
     features: int = 2
     """Number of features per sample (F), 1 to 8."""
     log2_entries: int = 19
@@ -56,7 +54,7 @@ class HashGridShape:
     def resolutions(self) -> tuple[int, ...]:
         """Number of cells per side of every level: a geometric progression from ``coarsest`` to ``finest``.
 
-        If the grid has only one level, the level has ``coarsest`` cells per side.
+        A single level has ``coarsest`` cells per side.
         """
         growth = math.log(self.finest / self.coarsest) / max(self.levels - 1, 1)
         # The term 1e-6 prevents rounding errors from making the last level one cell smaller than ``finest``.
@@ -64,7 +62,7 @@ class HashGridShape:
 
     @property
     def entries(self) -> tuple[int, ...]:
-        """Number of stored entries of every level: the number of samples, limited to 2^log2_entries."""
+        """Number of stored entries of every level: its number of samples, but at most 2^log2_entries."""
         return tuple(min((side + 1) ** 3, 2**self.log2_entries) for side in self.resolutions)
 
     @property
@@ -88,7 +86,7 @@ def check_hash_grid(coordinates: Tensor, table: Tensor, shape: HashGridShape) ->
     """Check the shapes, dtypes and devices of the arguments.
 
     Raises:
-        TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
+        TypeError, ValueError: for an invalid argument, with a message that names the argument and the expected value.
     """
     if coordinates.ndim != 2 or coordinates.shape[1] != 3:
         raise ValueError(f"coordinates: expected shape (N, 3), got {tuple(coordinates.shape)}")

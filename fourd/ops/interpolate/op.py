@@ -19,8 +19,8 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 def interpolate_attributes(
     attr: Tensor, rast: Tensor, tri: Tensor, rast_db: Tensor | None, diff: Sequence[int], threads: int
 ) -> tuple[Tensor, Tensor]:
-    """Interpolate attr (B or 1, V, C). Return the values (B, H, W, C), and the derivatives (B, H, W, 2 * len(diff)) of
-    the channels ``diff`` along the image's x and y axes. ``rast_db`` may be None if ``diff`` is empty."""
+    """Interpolate ``attr`` (B or 1, V, C). Return the values (B, H, W, C), and the derivatives (B, H, W, 2 * len(diff))
+    of the channels ``diff`` along the image's x and y axes. ``rast_db`` may be None if ``diff`` is empty."""
     out, out_da = _empty_images(attr, rast, diff)
     if uses_gpu_kernels(attr):
         gpu = load_gpu(attr.device)
@@ -56,8 +56,8 @@ def interpolate_attributes_backward(
     needed: Sequence[bool],
     threads: int,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the gradients of attr, rast and rast_db. The three bools ``needed`` are true for the gradients that are
-    needed. Gradients that are not needed are empty tensors."""
+    """Compute the gradients of ``attr``, ``rast`` and ``rast_db``. The three bools ``needed`` select the gradients to
+    compute. The others are empty tensors."""
     gradients = _empty_gradients(attr, rast, needed)
     targets = [gradient if is_needed else None for gradient, is_needed in zip(gradients, needed, strict=True)]
     if uses_gpu_kernels(attr):

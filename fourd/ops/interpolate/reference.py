@@ -1,5 +1,4 @@
-"""Interpolation of vertex attributes in plain torch: slow, but simple. The results are differentiable through
-autograd."""
+"""Interpolation of vertex attributes in plain torch: slow, but simple, and differentiable through autograd."""
 
 from __future__ import annotations
 

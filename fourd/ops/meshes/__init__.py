@@ -1,1 +1,1 @@
-"""Ids, constants and argument checks that the operators for triangles share."""
+"""Ids, constants and argument checks that all triangle operators share."""

@@ -1,4 +1,4 @@
-"""Rasterization of triangles for NumPy arrays, with the CPU kernels. This module needs no torch."""
+"""Triangle rasterization for NumPy arrays with the CPU kernels, without torch."""
 
 from __future__ import annotations
 
@@ -15,22 +15,21 @@ def draw_attributes(
     size: tuple[int, int],
     threads: int = 0,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """For each pixel centre, interpolate the vertex attributes of the nearest triangle, with correct perspective.
+    """For each pixel centre, interpolate the nearest triangle's vertex attributes perspective-correctly.
 
     Args:
         positions: (V, 4) clip coordinates.
         triangles: (T, 3) vertex indices. The caller must check that all indices are from 0 to V - 1.
         attributes: (V, C).
         size: (height, width) of the image in pixels, each 1 to 32768.
-        threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
+        threads: number of threads; 0 means the value of the environment variable FOURD_THREADS, or all cores if unset.
 
     Returns:
-        the values (H, W, C), and a mask (H, W) of the pixels that have a triangle. Pixels without a triangle have the
-        value 0.
+        the values (H, W, C), and a mask (H, W) of the pixels that show a triangle. The values of other pixels are 0.
 
     Raises:
         ImportError: if the native module is not built.
-        ValueError, TypeError: for an array of another shape or dtype.
+        ValueError, TypeError: for an array of the wrong shape or dtype.
     """
     native, count, simd = load_native(), thread_count(threads), simd_name()
     triangles = np.ascontiguousarray(triangles)

@@ -1,4 +1,4 @@
-"""Selection of the implementation of an operator for triangles: a kernel, or the reference in plain torch."""
+"""Selects the implementation of a triangle operator: a kernel, or the reference in plain torch."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Backend = Literal["auto", "reference", "cpu", "cuda"]
 
 
 def select_backend(backend: str, name: str, value: Tensor) -> Literal["reference", "native"]:
-    """Return "reference" if ``backend`` selects the reference, or "native" if it selects the kernels of the tensors'
+    """Return "reference" if ``backend`` selects the reference, or "native" if it selects the kernels for the tensors'
     device.
 
     Args:
         backend: "reference" for plain torch on any device (float32 or float64), "cpu" or "cuda" for the float32
-            kernels, or "auto" for the kernels of the tensors' device.
+            kernels, or "auto" for the kernels for the tensors' device.
         name, value: name and value of the argument whose device and dtype are checked. All tensors of the operator must
             have the same device and dtype.
 

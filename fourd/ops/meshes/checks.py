@@ -1,4 +1,4 @@
-"""Argument checks that the operators for triangles share."""
+"""Argument checks that all triangle operators share."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from torch import Tensor
 from fourd.ops.meshes.ids import MAX_TRIANGLES
 
 MAX_SIDE_PX = 2**15
-"""Maximum width or height of an image. The subpixel positions in larger images would overflow the kernels' integers."""
+"""Maximum width or height of an image. Subpixel positions in larger images would overflow the kernels' integers."""
 
 ALL_LAYERS = 2**20
-"""If the maximum number of composited triangles per pixel has this value, all triangles are composited."""
+"""A limit of this many composited triangles per pixel means that all triangles are composited."""
 
 Axis = int | str
 """The size of an axis, or a letter that stands for any size."""
@@ -25,16 +25,16 @@ def check_tensor(
     like: tuple[str, Tensor] | None = None,
     dtypes: tuple[torch.dtype, ...] = (torch.float32,),
 ) -> Tensor:
-    """Check the type, the shape, the dtype and the device of an argument, and return the argument.
+    """Check the type, shape, dtype and device of an argument, and return it.
 
     Args:
         name: name of the argument, for the error message.
-        value: the argument. Its values are not checked.
+        value: the argument. Its elements are not checked.
         shape: expected shape. A letter stands for any size, including 0. Axes with the same letter may have different
             sizes.
-        like: name and value of a reference argument. ``value`` must be on the device of the reference argument. If the
-            reference argument has a floating-point dtype, ``value`` must have the same dtype.
-        dtypes: accepted dtypes. They are ignored if the reference argument ``like`` has a floating-point dtype.
+        like: name and value of a reference argument. ``value`` must be on its device and, if the reference has a
+            floating-point dtype, also have its dtype.
+        dtypes: accepted dtypes, ignored if ``like`` has a floating-point dtype.
 
     Raises:
         TypeError: for a wrong type or dtype.
@@ -63,10 +63,11 @@ def check_triangles(tri: object, vertices: int, like: tuple[str, Tensor], *, che
         tri: the argument.
         vertices: number of vertices.
         like: name and value of an argument on the expected device.
-        check_values: whether to check the indices. On a GPU, this check waits for the GPU.
+        check_values: whether to check that the indices are in range. For a tensor on a GPU, this check waits for the
+            GPU.
 
     Raises:
-        TypeError, ValueError: with a message that names the argument and the first wrong index.
+        TypeError, ValueError: with a message that names the argument and an index that is out of range.
     """
     if not isinstance(tri, Tensor):
         raise TypeError(f"tri: expected a torch.Tensor, got {type(tri).__name__}")
@@ -87,7 +88,7 @@ def check_triangles(tri: object, vertices: int, like: tuple[str, Tensor], *, che
 
 
 def check_layers(layers: int | None) -> int:
-    """Check a maximum number of composited triangles per pixel and return it. None becomes ALL_LAYERS.
+    """Check the maximum number of composited triangles per pixel, and return it. None becomes ALL_LAYERS.
 
     Raises:
         TypeError, ValueError: with a message that names the argument.

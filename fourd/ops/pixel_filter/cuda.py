@@ -12,12 +12,11 @@ from fourd.ops.points.validation import check_canvas
 def filter_pixels_gpu(image: Tensor, side: float, out: Tensor | None = None) -> Tensor:
     """Filter an (H, W, 4) uint8 image on its device, as :func:`fourd.ops.pixel_filter.op.filter_pixels` does.
 
-    The kernel is queued on torch's current stream, and the call returns before the kernel finishes. For CPU tensors,
-    the emulated kernel runs.
+    The kernel is queued on torch's current stream, and the call returns before it finishes. CPU tensors use the
+    emulated kernel.
 
     Returns:
-        (H, W, 4) uint8 image on the device. If ``out`` is given, ``out`` itself is returned. ``out`` must not overlap
-        ``image``.
+        (H, W, 4) uint8 image on the device, which is ``out`` itself if given. ``out`` must not overlap ``image``.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.

@@ -1,7 +1,7 @@
 """The pixel filter's CPU kernel, for 8-bit NumPy images.
 
-Points are composited at the centres of pixels, so the contours of points are ragged. The pixel filter makes contours
-smooth: each pixel becomes a weighted mean of 3 x 3 pixels.
+Points are composited only at pixel centres, so their contours are jagged. The pixel filter smooths the contours by
+replacing each pixel with a weighted mean of 3 x 3 pixels.
 """
 
 from __future__ import annotations
@@ -18,18 +18,17 @@ def filter_pixels(
 ) -> NDArray[np.uint8]:
     """Filter an image with the weights ``(side, 1 - 2 * side, side)`` along rows and along columns.
 
-    The filter treats a pixel outside the image as a copy of the nearest pixel of the image. Each byte of the result
-    differs by at most 1 from the rounded result of :func:`fourd.ops.pixel_filter.reference.filter_pixels_reference`.
+    Pixels outside the image are copies of the nearest pixel inside. Each byte of the result differs by at most 1 from
+    the rounded result of :func:`fourd.ops.pixel_filter.reference.filter_pixels_reference`.
 
     Args:
         image: C-contiguous (H, W, 4) uint8 image.
-        side: weight of a neighbouring pixel, from 0 to 0.25. With 0, the image is copied.
+        side: weight of a neighbouring pixel, from 0 to 0.25. If 0, the image is copied.
         threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
-        out: C-contiguous (H, W, 4) uint8 array that does not overlap ``image``. If ``out`` is None, a new array is
-            allocated.
+        out: C-contiguous (H, W, 4) uint8 array that does not overlap ``image``. If None, a new array is allocated.
 
     Returns:
-        (H, W, 4) uint8 image. If ``out`` is given, ``out`` itself is returned.
+        (H, W, 4) uint8 image, which is ``out`` itself if given.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.

@@ -1,4 +1,4 @@
-"""The pixel filter for float images, which is also the reference of the 8-bit kernels."""
+"""The pixel filter for float images, which is also the reference for the 8-bit kernels."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 def filter_pixels_reference(image: NDArray[np.float32], side: float) -> NDArray[np.float32]:
     """Filter an image (H, W) or (H, W, C) with the weights ``(side, 1 - 2 * side, side)`` along rows and columns.
 
-    The filter treats a pixel outside the image as a copy of the nearest pixel of the image. The result has the shape of
-    ``image``.
+    Pixels outside the image are copies of the nearest pixel inside. The result has the shape of ``image``.
     """
     if side == 0 or image.size == 0:
         return image

@@ -1,1 +1,1 @@
-"""Bilinear samples of feature planes (``csrc/planes``)."""
+"""Bilinear sampling of feature planes (``csrc/planes``)."""

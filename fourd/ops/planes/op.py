@@ -1,4 +1,4 @@
-"""Samples of feature planes: the operator ``torch.ops.fourd.sample_planes`` and its gradient."""
+"""Bilinear sampling of feature planes: the operator ``torch.ops.fourd.sample_planes`` and its gradient."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ def sample_planes(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[
     Args:
         coordinates: (N, 4) x, y, z, t in [-1, 1], float32 or float64. Values outside [-1, 1] are clamped; NaN counts as
             -1.
-        planes: tensors of shape (rows, columns, F) with the dtype of the coordinates, and with at least 2 rows and 2
-            columns. All planes have the same number F of features, from 1 to 64. The first and last samples of a plane
-            are at -1 and 1 (align_corners).
-        axes: two coordinate indices per plane, from 0 to 3. The first coordinate selects the column of the plane, and
-            the second coordinate selects the row.
+        planes: tensors of shape (rows, columns, F) with the dtype of the coordinates and at least 2 rows and 2 columns.
+            All planes have the same number of features F, from 1 to 64. A plane's first and last samples are at -1 and
+            1 (align_corners).
+        axes: two coordinate indices per plane, from 0 to 3. The first coordinate selects the plane's column, the second
+            its row.
 
     Returns:
-        (N, F * len(planes)) features, differentiable in the planes and the coordinates. On the CPU, the gradient is
-        bit-identical for any number of threads. On a GPU, the last bits of the gradient vary between calls.
+        (N, F * len(planes)) features, differentiable in the planes and the coordinates. The gradient is bit-identical
+        for any number of threads on the CPU, but its last bits vary between calls on a GPU.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.

@@ -1,4 +1,4 @@
-"""Samples of feature planes in plain torch."""
+"""Bilinear sampling of feature planes in plain torch."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drawing of baked points by the CUDA kernels, for torch tensors."""
+"""Draws baked points from torch tensors with the CUDA kernels."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def draw_points_gpu(
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     out: Tensor | None = None,
 ) -> Tensor:
-    """Draw baked points on the tensors' device. Each byte of the image differs by at most 1 from the image that
-    :meth:`fourd.ops.play.op.PointPlayer.draw` draws.
+    """Draw baked points on the tensors' device. Each byte of the image differs by at most 1 from the image of
+    :meth:`fourd.ops.play.op.PointPlayer.draw`, which documents the arguments.
 
     Pass float16 arrays as int16 tensors with the same bits. All tensors must be contiguous. The kernels are queued on
-    torch's current stream, and the call returns before they finish. For CPU tensors, the emulated kernels run.
+    torch's current stream, and the call returns before they finish. CPU tensors use the emulated kernels.
 
     Returns:
-        (H, W, 4) uint8 image on the device. If ``out`` is given, ``out`` itself is returned.
+        (H, W, 4) uint8 image on the device, which is ``out`` itself if given.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.

@@ -1,7 +1,7 @@
-"""Drawing and depth-sorting of baked points by the CPU kernels, for NumPy arrays.
+"""Draws and depth-sorts baked points in NumPy arrays with the CPU kernels.
 
-:class:`PointPlayer` and :class:`PointSorter` keep a workspace in native memory between calls. The native object
-supports only one call at a time. A lock therefore serializes calls from several threads to one object.
+:class:`PointPlayer` and :class:`PointSorter` keep a workspace in native memory between calls, which only one call at a
+time may use. Each object has a lock that serializes calls from several threads.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from fourd.ops.shade.shading import Shading
 from fourd.ops.stylize.parameters import Surface
 
 MIN_TRANSMITTANCE = 1e-3
-"""Compositing of a pixel ends when the pixel's transmittance falls below this value.
+"""Compositing of a pixel ends when its transmittance falls below this value.
 
-The points that are not composited could change the colour by at most a quarter of an 8-bit step.
+The remaining points could change the colour by at most about a quarter of an 8-bit step.
 """
 
 
 class PointPlayer:
-    """Shades baked points and composites them to an 8-bit image in one native call.
+    """Shades baked points and composites them into an 8-bit image in one native call.
 
     Several threads may use one instance, because a lock serializes their calls.
     """
@@ -52,7 +52,7 @@ class PointPlayer:
         threads: int = 0,
         out: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.uint8]:
-        """Draw an image of N points. Each point has one colour per source view.
+        """Draw an image of N points, each with one colour per source view.
 
         Args:
             xyz: (N, 3) positions, world units.
@@ -60,15 +60,15 @@ class PointPlayer:
             density: (N,) opacities at the centre, in [0, 1].
             sh, blend_weights, rgb, shading: inputs of :func:`fourd.ops.shade.op.shade_points`.
             camera: a pinhole camera without lens distortion.
-            layers: maximum number of points that a pixel composites.
+            layers: maximum number of points that are composited in a pixel.
             near: points with a camera depth below this number of world units are culled.
-            background: red, green and blue behind the points, in [0, 1].
+            background: red, green and blue values behind the points, in [0, 1].
             threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
-            out: C-contiguous (H, W, 4) uint8 array to draw into. If ``out`` is None, a new array is allocated.
+            out: C-contiguous (H, W, 4) uint8 array to draw into. If None, a new array is allocated.
 
         Returns:
-            (H, W, 4) uint8 image. The channels of the image are RGB, composited over the background, and alpha. If
-            ``out`` is given, ``out`` itself is returned.
+            (H, W, 4) uint8 image, which is ``out`` itself if given. The channels are RGB, composited over the
+            background, and alpha.
 
         Raises:
             TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
@@ -112,15 +112,14 @@ class PointPlayer:
         threads: int = 0,
         out: Surface,
     ) -> None:
-        """Draw the visible surface of N points: colours, depth and normals.
+        """Draw the colours, depths and normals of the visible surface of N points.
 
         Args:
             normals: (N, 2) uint8 octahedral normals (:func:`fourd.stylize.normals.encode_octahedral`) in world axes.
-            persistence: weight of the previous picture, at least 0 and below 1. Before the call, ``out`` must contain
-                the depths and normals of the previous picture. The previous values are used only at pixels where the
-                inverse depths of the two pictures differ by at most 2% and their normals differ by at most 37 degrees.
-                Use 0 for the first picture from a camera.
-            out: the surface to draw into. The surface must have the image size of ``camera``.
+            persistence: weight of the previous image's depths and normals, at least 0 and below 1. ``out`` must contain
+                them before the call. They are used only at pixels where the inverse depths of the two images differ by
+                at most 2% and the normals by at most 37 degrees. Use 0 for the first image from a camera.
+            out: the surface to draw into, with the image size of ``camera``.
 
         For the other arguments and the errors, see :meth:`draw`.
         """
@@ -147,7 +146,7 @@ class PointPlayer:
 
 
 def _native_points(xyz: NDArray[np.float32], *halves: NDArray[np.float16]) -> tuple[NDArray[np.generic], ...]:
-    """Return the positions unchanged, and the float16 arrays as the 16-bit words that the native module takes."""
+    """Return the positions unchanged, and the float16 arrays as the uint16 arrays that the native module takes."""
     return (xyz, *(half.view(np.uint16) for half in halves))
 
 
@@ -169,8 +168,8 @@ class PointSorter:
         *,
         threads: int = 0,
     ) -> NDArray[np.uint32]:
-        """Return the indices of the points in the image of ``camera``, sorted by depth with the nearest point first.
-        Points of equal depth are sorted by index.
+        """Return the indices of the points in the image of ``camera``, sorted by depth, nearest first. Points of equal
+        depth are sorted by index.
 
         Occluded points are included. Points that :func:`fourd.raster.render_points` does not draw are omitted: points
         nearer than ``near``, points outside the image, points whose radius or density is not positive, and points whose
@@ -181,7 +180,7 @@ class PointSorter:
             radius: (N,) finite radii, world units.
             density: (N,) opacities at the centre, in [0, 1].
             camera: a pinhole camera without lens distortion.
-            near: points with a camera depth below this number of world units are culled. Above 0.
+            near: points with a camera depth below this number of world units are culled. Must be positive.
             threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
 
         Raises:

@@ -1,4 +1,4 @@
-"""Drawing and depth-sorting of baked points in NumPy and plain torch."""
+"""Draws and depth-sorts baked points in NumPy and plain torch."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from fourd.ops.shade.shading import Shading
 
 MAX_FLOAT32 = np.finfo(np.float32).max
 RADIUS_MARGIN = 1 + 1e-6
-"""Factor by which the kernels enlarge the disc of a point before they search for the pixels that the disc covers.
+"""Factor by which the kernels enlarge a point's disc before they search for the pixels that it covers.
 
-Without the factor, rounding errors could make the search miss a covered pixel.
+Without it, rounding errors could make the search miss a covered pixel.
 """
 
 
@@ -33,11 +33,11 @@ def draw_points_reference(
     near: float,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> NDArray[np.float32]:
-    """Compute the image of :meth:`fourd.ops.play.op.PointPlayer.draw` without early termination.
+    """Compute the image of :meth:`fourd.ops.play.op.PointPlayer.draw`, without early termination of compositing.
 
     Returns:
-        (H, W, 4) float32 image in [0, 1]. The channels of the image are RGB, composited over the background, and alpha.
-        The values are not rounded to bytes.
+        (H, W, 4) float32 image in [0, 1], not rounded to bytes. The channels are RGB, composited over the background,
+        and alpha.
     """
     colours = shade_points_reference(xyz, sh, blend_weights, rgb, shading)
     rendered = render_points_reference(
@@ -63,7 +63,7 @@ def sort_points_reference(
 ) -> NDArray[np.uint32]:
     """Compute the result of :meth:`fourd.ops.play.op.PointSorter.sort` with a stable sort of float32 depths.
 
-    The float32 operations and their order are the same as in ``csrc/points/maths.h``.
+    The float32 operations and their order match ``csrc/points/maths.h``.
     """
     k, r, t = (value.astype(np.float32) for value in (camera.intrinsics, camera.rotation, camera.translation))
     radius_float, density_float = radius.astype(np.float32), density.astype(np.float32)
@@ -83,7 +83,7 @@ def sort_points_reference(
 
 
 def _covers_pixel(centre: NDArray[np.float32], rho: NDArray[np.float32], size: int) -> NDArray[np.bool_]:
-    """Return whether a disc's extent along one axis contains the centre of any pixel of the image."""
+    """Return a mask of the discs whose extent along one axis contains the centre of any pixel of the image."""
     extent = rho.astype(np.float64) * RADIUS_MARGIN
     first = np.ceil(centre - extent - 0.5)
     last = np.floor(centre + extent - 0.5)

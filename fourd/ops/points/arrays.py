@@ -1,4 +1,4 @@
-"""Compositing of points in NumPy arrays with the CPU kernels, without torch and without gradients."""
+"""Composites points in NumPy arrays with the CPU kernels, without torch and without gradients."""
 
 from __future__ import annotations
 
@@ -29,11 +29,10 @@ def render_points_numpy(
 ) -> tuple[Floats, Floats, Floats]:
     """Render points given as float32 arrays.
 
-    For the arguments, see :func:`fourd.raster.render_points`. The results are bit-identical to the results of that
-    function's CPU backend.
+    For the arguments, see :func:`fourd.raster.render_points`, whose CPU backend gives bit-identical results.
 
-    With ``threads`` = 0, the environment variable FOURD_THREADS sets the number of threads. If the variable is not set,
-    all cores are used.
+    If ``threads`` is 0, the environment variable FOURD_THREADS sets the number of threads. If it is not set either, all
+    cores are used.
 
     Returns:
         features (H, W, C), alpha (H, W) and depth (H, W), float32.

@@ -1,4 +1,4 @@
-"""Functions that call the CUDA kernels of ``csrc/points`` with torch tensors and allocate their scratch memory."""
+"""Calls the CUDA kernels of ``csrc/points`` with torch tensors, and allocates their scratch memory."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from torch import Tensor
 from fourd.ops.gpu import Gpu, contiguous, load_gpu
 
 MAX_LAYERS_BACKWARD = 64
-"""Maximum number of depth layers per pixel in the gradient kernel. Each thread of this kernel stores the layers of one
-pixel in its local memory."""
+"""Maximum number of depth layers per pixel in the gradient kernel, where each thread stores one pixel's layers in its
+local memory."""
 
 
 def render(

@@ -1,7 +1,7 @@
 """Compositing of points: the operators ``torch.ops.fourd.render_points`` (with its gradient) and ``point_visibility``.
 
 The public API, which checks the arguments and selects the backend, is :mod:`fourd.raster.points`. The operators support
-autograd and ``torch.library.opcheck``, and ``torch.compile`` through fake implementations.
+autograd, ``torch.library.opcheck`` and, through fake implementations, ``torch.compile``.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ def visibility(
     near: float,
     threads: int,
 ) -> Tensor:
-    """Compute each point's maximum compositing weight over all pixels, (N,)."""
+    """Compute each point's maximum compositing weight (N,) over all pixels."""
     out = torch.empty_like(radius, memory_format=torch.contiguous_format)
     if uses_gpu_kernels(xyz):
         gpu.visibility((xyz, radius, density), camera, (width, height), layers, near, out)

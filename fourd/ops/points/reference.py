@@ -1,8 +1,8 @@
-"""The reference point renderer in plain torch: slow, but simple. Tests compare the other backends with this renderer.
+"""The reference point renderer in plain torch, with which tests compare the other backends: slow, but simple.
 
-The renderer works in float32 and float64 on any device and is differentiable by autograd. In float32, the renderer
-computes depth, projection and alpha by the same operations in the same order as ``csrc/points/maths.h``. The kernels
-and the reference therefore composite the same points at every pixel.
+The renderer works in float32 and float64 on any device and is differentiable through autograd. In float32, it computes
+depth, projection and alpha with the same operations in the same order as ``csrc/points/maths.h``, so that the kernels
+and the reference composite the same points at every pixel.
 """
 
 from __future__ import annotations
@@ -15,13 +15,11 @@ from torch import Tensor
 from fourd.cameras import Camera
 
 CHUNK = 1 << 23
-"""Maximum product of the number of pixels and the number of points per chunk. This limit bounds the memory use to about
-100 MB."""
+"""Maximum product of the numbers of pixels and points per chunk, which limits memory to about 100 MB."""
 
 
 class Splats(NamedTuple):
-    """M points projected to the image. The arrays of a Splats object have the shape (M,). ``inverse_square`` is 1 /
-    radius_px^2."""
+    """M points projected to the image. The arrays have the shape (M,). ``inverse_square`` is 1 / radius_px^2."""
 
     u: Tensor
     v: Tensor
@@ -31,10 +29,9 @@ class Splats(NamedTuple):
 
 
 class Layers(NamedTuple):
-    """For each of P pixels, the indices (P, K) of the splats that the pixel composites in its K depth layers, nearest
-    first.
+    """The indices (P, K) of the splats that are composited in the K depth layers of each of P pixels, nearest first.
 
-    A pixel may have fewer than K splats. In the unused layers of such a pixel, ``valid`` is False and ``splat`` is 0.
+    If a pixel has fewer than K splats, ``valid`` is False and ``splat`` is 0 in its unused layers.
     """
 
     splat: Tensor
@@ -51,7 +48,7 @@ def render_points_reference(
     chunks = [_composite(splats, features, *chunk)[:3] for chunk in _pixel_chunks(splats, camera, layers)]
     colour, alpha, depth = (torch.cat(chunk) for chunk in zip(*chunks, strict=True))
     shape = (camera.height, camera.width)
-    # Adding zero keeps the image connected to the inputs in autograd if every point is culled.
+    # If every point is culled, adding zero keeps the image connected to the inputs in the autograd graph.
     zero = sum((array[:0].sum() for array in (features, radius, density)), start=xyz[:0].sum())
     return colour.reshape(*shape, features.shape[1]) + zero, alpha.reshape(shape) + zero, depth.reshape(shape)
 
@@ -94,11 +91,11 @@ def _project(xyz: Tensor, radius: Tensor, density: Tensor, camera: Camera) -> Sp
 
 
 def _alpha(splats: Splats, pixels: Tensor) -> Tensor:
-    """Return density * (1 - distance_px^2 / radius_px^2), not clamped, where distance_px is the distance from the pixel
-    to the splat's centre.
+    """Return the unclamped density * (1 - distance_px^2 / radius_px^2), where distance_px is the distance from the
+    pixel to the splat's centre.
 
-    The arrays of ``splats`` have the shape (P, K), or (1, M) to evaluate all M splats at every pixel. ``pixels`` are
-    the pixel centres, (P, 2).
+    The arrays of ``splats`` have the shape (P, K), or (1, M) to evaluate all M splats at every pixel. ``pixels`` (P, 2)
+    are the pixel centres.
     """
     dx = splats.u - pixels[:, :1]
     dy = splats.v - pixels[:, 1:]
@@ -106,8 +103,8 @@ def _alpha(splats: Splats, pixels: Tensor) -> Tensor:
 
 
 def _pixel_chunks(splats: Splats, camera: Camera, layers: int) -> list[tuple[Tensor, Layers]]:
-    """Split the image into chunks. Return each chunk's pixel centres (P, 2), in row-major order, and the points that
-    each pixel composites."""
+    """Split the image into chunks of pixels. Return each chunk's pixel centres (P, 2), in row-major order, and the
+    splats that are composited in each pixel."""
     rows = torch.arange(camera.height, dtype=splats.z.dtype, device=splats.z.device) + 0.5
     columns = torch.arange(camera.width, dtype=splats.z.dtype, device=splats.z.device) + 0.5
     pixels = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), dim=-1).reshape(-1, 2)
@@ -116,8 +113,7 @@ def _pixel_chunks(splats: Splats, camera: Camera, layers: int) -> list[tuple[Ten
 
 @torch.no_grad()
 def _choose(splats: Splats, pixels: Tensor, layers: int) -> Layers:
-    """Select the nearest ``layers`` splats with positive alpha at every pixel. The input ``splats`` are sorted by
-    depth."""
+    """Select the nearest ``layers`` splats with positive alpha at every pixel. ``splats`` must be sorted by depth."""
     count = len(splats.z)
     hit = _alpha(Splats(*(value[None] for value in splats)), pixels) > 0
     order = torch.where(hit, torch.arange(count, device=hit.device), count)
@@ -129,14 +125,14 @@ def _choose(splats: Splats, pixels: Tensor, layers: int) -> Layers:
 def _composite(
     splats: Splats, features: Tensor, pixels: Tensor, chosen: Layers
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Composite front to back. Returns features (P, C), alpha (P,), depth (P,) and the layers' weights (P, K)."""
+    """Composite front to back. Return features (P, C), alpha (P,), depth (P,) and the layers' weights (P, K)."""
     local = Splats(*(value[chosen.splat] for value in splats))
     alphas = torch.where(chosen.valid, _alpha(local, pixels), 0)
     zero = pixels[:, 0] * 0
     transmittance, total, offset, colour = zero + 1, zero, zero, zero[:, None].expand(-1, features.shape[1])
-    # The mean depth is computed from the differences between the depths and the nearest depth. The nearest depth is
-    # treated as a constant in autograd. This changes neither the mean depth nor its gradient. In pixels with one layer,
-    # this subtraction avoids a rounding error, which the division by a small weight would amplify.
+    # The nearest depth is subtracted before the depths are averaged, and added again after. Without the subtraction,
+    # the division by a small weight would amplify a rounding error in pixels with one layer. Autograd may treat the
+    # nearest depth as a constant, because the result and its gradient do not depend on it.
     nearest = torch.where(chosen.valid, local.z, 0)[:, :1].detach().sum(dim=1)
     weights = []
     for k in range(alphas.shape[1]):

@@ -1,4 +1,4 @@
-"""Argument checks of the point renderers, for torch tensors and NumPy arrays."""
+"""Checks the arguments of the point renderers, for torch tensors and NumPy arrays."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ MAX_SIDE_PX = 2**18
 """Maximum width or height of an image.
 
 The kernels count tiles of 16 x 16 pixels in signed 32-bit integers. An image with this width and height has 2^28 tiles,
-which is one eighth of the integers' limit.
+an eighth of these integers' limit.
 """
 
 
 def check_points(
     arrays: Mapping[str, Any], camera: Camera, layers: int, near: float, dtypes: tuple[str, ...] = ("float32",)
 ) -> None:
-    """Check the arguments that all renderers share.
+    """Check the arguments that all point renderers share.
 
     Args:
-        arrays: xyz (N, 3), radius (N,), density (N,) and optionally features (N, C) with C from 1 to 32. All have the
-            same device and the same dtype, which is one of ``dtypes``. Values are not checked, because the renderers
-            cull points whose values are not finite.
+        arrays: xyz (N, 3), radius (N,), density (N,) and optionally features (N, C) with C from 1 to 32, all on the
+            same device and with the same dtype, one of ``dtypes``. Their elements are not checked, because the
+            renderers cull points with non-finite values.
         camera: must be a pinhole camera without lens distortion.
-        layers: must be an integer of at least 1.
+        layers: must be an integer from 1 to 2^20.
         near: must be finite and positive.
         dtypes: names of the accepted dtypes.
 
@@ -60,8 +60,8 @@ def check_background(background: Any, camera: Camera, channels: int) -> None:
 
 
 def pack_camera(camera: Camera) -> list[float]:
-    """Return the camera as the 21 numbers that the kernels expect: the rows of the intrinsic matrix, the rows of the
-    rotation, and the translation."""
+    """Return the camera as the 21 numbers that the kernels expect: the intrinsic matrix and the rotation, each row by
+    row, and the translation."""
     return [*camera.intrinsics.ravel(), *camera.rotation.ravel(), *camera.translation]
 
 
@@ -112,8 +112,7 @@ def check_camera(camera: Camera) -> None:
 
 
 def check_canvas(out: Any, shape: tuple[int, int, int], is_contiguous: bool) -> None:
-    """Raise a ValueError unless the array or tensor ``out`` is contiguous and has the dtype uint8 and the shape
-    ``shape``."""
+    """Raise a ValueError unless the array or tensor ``out`` is contiguous, of dtype uint8 and of shape ``shape``."""
     if tuple(out.shape) != shape or str(out.dtype) not in ("uint8", "torch.uint8") or not is_contiguous:
         raise ValueError(
             f"out: expected contiguous uint8 of shape {shape}, got {out.dtype} of shape {tuple(out.shape)}"

@@ -1,7 +1,7 @@
-"""Coverage of the reference rasterizer: clipping, rounding to 1/256 pixel and exact edge functions.
+"""Computes the reference rasterizer's coverage by clipping, rounding to 1/256 pixel and exact edge functions.
 
-The versions of these functions for the kernels are in ``csrc/rasterize/maths.h`` and ``csrc/rasterize/clipping.h``.
-All functions of this module compute the same numbers as the kernels and are not differentiable.
+The functions compute the same numbers as their counterparts in the kernels (``csrc/rasterize/maths.h`` and
+``csrc/rasterize/clipping.h``), and are not differentiable.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ Corner = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Pieces:
-    """Pieces of triangles. Each piece is a triangle with positive area and integer vertices. A triangle that is not
-    clipped has at most one piece. Clipping can produce several pieces.
+    """Pieces of triangles after clipping. Each piece is a triangle with positive area and integer vertices. A triangle
+    that is not clipped has at most one piece; a clipped one can have several.
 
     Attributes:
         corners: (P, 3, 2) int64 x and y of the vertices, in units of 1/256 pixel.
-        triangle: (P,) int64 index of the triangle that each piece is a part of, in ascending order.
-        reference: (P, 2) int64 column and row of the reference pixel. This pixel is the origin of the linear functions
-            in :class:`fourd.ops.rasterize.reference.Planes`.
+        triangle: (P,) int64 index of the triangle that each piece belongs to, in ascending order.
+        reference: (P, 2) int64 column and row of the reference pixel, which is the origin of the linear functions in
+            :class:`fourd.ops.rasterize.reference.Planes`.
     """
 
     corners: Tensor
@@ -69,8 +69,8 @@ def cut_triangles(pos: Tensor, tri: Tensor, first: int, height: int, width: int)
 
 
 def covered(pieces: Pieces, height: int, width: int) -> Tensor:
-    """Return whether each piece covers each pixel, (P, H, W) bool. A pixel centre on an edge is covered only if the
-    edge is a left or top edge of the piece."""
+    """Return a mask (P, H, W) that is true where a piece covers a pixel. A pixel centre on an edge is covered only if
+    the edge is a left or top edge of the piece."""
     x = SUBPIXELS * torch.arange(width) + SUBPIXELS // 2
     y = SUBPIXELS * torch.arange(height) + SUBPIXELS // 2
     inside = torch.ones(len(pieces.triangle), height, width, dtype=torch.bool)
@@ -85,7 +85,7 @@ def covered(pieces: Pieces, height: int, width: int) -> Tensor:
 
 def _polygon(points: NDArray[np.float32], width: int, height: int) -> tuple[list[list[int]], bool]:
     """Clip a triangle at the guard band, a rectangle that contains the image and is at least 4 times as wide and as
-    high. Return the rounded corners of the clipped polygon, and whether the triangle was clipped."""
+    high. Return the rounded corners of the clipped polygon, and a bool that is true if the triangle was clipped."""
     guard_x, guard_y = _guard(width), _guard(height)
     x, y, w = (points[:, axis].astype(np.float64) for axis in (0, 1, 3))
     is_inside = (w > 0) & (np.abs(x) <= guard_x * w) & (np.abs(y) <= guard_y * w)
@@ -98,10 +98,10 @@ def _polygon(points: NDArray[np.float32], width: int, height: int) -> tuple[list
 
 
 def _guard(side: int) -> int:
-    """Return the ratio of the side length of the guard band to the side length ``side`` of the image (in pixels). The
-    guard band is the rectangle around the image at which triangles are clipped. The ratio is a power of two.
+    """Return the ratio of the guard band's side length to the image's side length ``side`` in pixels, a power of two.
 
-    The guard band ends within 2^16 pixels of the image's centre.
+    The guard band is the rectangle around the image at which triangles are clipped. It extends at most 2^16 pixels from
+    the image's centre.
     """
     guard = 4
     while 2 * guard * side <= _MAX_EXTENT_PX:

@@ -1,4 +1,4 @@
-"""Functions that call the CUDA kernels of ``csrc/rasterize`` with torch tensors and allocate their scratch memory."""
+"""Calls the CUDA kernels of ``csrc/rasterize`` with torch tensors, and allocates their scratch memory."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from fourd.ops.gpu import contiguous, load_gpu
 def rasterize(
     pos: Tensor, tri: Tensor, ranges: Tensor | None, previous: Tensor | None, rast: Tensor, rast_db: Tensor | None
 ) -> None:
-    """Write the nearest triangles to ``rast`` (B, H, W, 4) and the derivatives of their barycentric weights to
-    ``rast_db``. ``ranges`` is on the CPU."""
+    """Write the nearest triangles to ``rast`` (B, H, W, 4), and the derivatives of their barycentric coordinates to
+    ``rast_db``. ``ranges`` must be on the CPU."""
     gpu = load_gpu(pos.device)
     images, height, width, _ = rast.shape
     longest_range = tri.shape[0]
@@ -42,7 +42,7 @@ def rasterize_backward(
     grad_rast_db: Tensor | None,
     grad_pos: Tensor,
 ) -> None:
-    """Write the gradient of ``pos`` to ``grad_pos``. ``ranges`` is on the CPU."""
+    """Write the gradient of ``pos`` to ``grad_pos``. ``ranges`` must be on the CPU."""
     gpu = load_gpu(pos.device)
     with gpu.activate():
         gpu.kernels.rasterize_triangles_backward(

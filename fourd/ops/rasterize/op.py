@@ -1,7 +1,7 @@
 """Rasterization of triangles: the operator ``torch.ops.fourd.rasterize_triangles`` and its gradient.
 
 The public API, which checks the arguments and selects the backend, is :mod:`fourd.raster.triangles.rasterization`. The
-operators support autograd and ``torch.library.opcheck``, and ``torch.compile`` through fake implementations.
+operators support autograd, ``torch.library.opcheck`` and, through fake implementations, ``torch.compile``.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ def rasterize_triangles(
     grad_db: bool,
     threads: int,
 ) -> tuple[Tensor, Tensor]:
-    """Rasterize triangles. The vertices ``pos`` are (B, V, 4), or (1, V, 4) if ``ranges`` is given. ``ranges`` (B, 2)
-    is a CPU tensor with the first triangle and the number of triangles of each image.
+    """Rasterize triangles. Return ``rast`` (B, H, W, 4), and ``rast_db`` of the same shape, or (B, H, W, 0) if
+    ``output_db`` is False.
 
-    ``previous`` is the ``rast`` of the previous depth layer. Returns rast (B, H, W, 4) and rast_db. rast_db has the
-    shape of rast, or (B, H, W, 0) if ``output_db`` is false.
+    The vertices ``pos`` are (B, V, 4), or (1, V, 4) if ``ranges`` is given. ``ranges`` (B, 2) is a CPU tensor with the
+    first triangle and the number of triangles of each image. ``previous`` is the ``rast`` of the previous depth layer.
     """
     rast, rast_db = _empty_images(pos, ranges, height, width, output_db)
     inputs = (pos, tri, ranges, previous)
@@ -74,7 +74,7 @@ def rasterize_triangles_backward(
     grad_rast_db: Tensor | None,
     threads: int,
 ) -> Tensor:
-    """Compute the gradient of pos from the gradients of rast and rast_db."""
+    """Compute the gradient of ``pos`` from the gradients of ``rast`` and ``rast_db``."""
     grad_pos = torch.empty_like(pos, memory_format=torch.contiguous_format)
     if uses_gpu_kernels(pos):
         gpu.rasterize_backward(pos, tri, ranges, rast, grad_rast, grad_rast_db, grad_pos)

@@ -1,4 +1,4 @@
-"""The rasterizer in plain torch: slow, but simple. The results are differentiable through autograd."""
+"""The rasterizer in plain torch: slow, but simple, and differentiable through autograd."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class Planes:
     """Linear functions over the image, one row for each triangle.
 
     Attributes:
-        b: (T, 3, 3) for each vertex, the linear function ``weight / w * m``. ``weight`` is the perspective-correct
-            weight of the vertex at a pixel, w is the clip coordinate at the pixel, and m is the largest |w| of the
+        b: (T, 3, 3) linear function ``weight / w * m`` for each vertex. At a pixel, ``weight`` is the vertex's
+            perspective-correct barycentric coordinate and w is the clip coordinate; m is the largest |w| of the
             triangle's vertices. The last axis contains the value at the reference pixel, and the slopes per pixel along
             x and y.
-        depth: (T, 3) z/w: the value at the reference pixel, and the slopes per pixel along x and y.
-        low, high: (T,) smallest and largest z/w of the vertices. The depth is clamped to this range.
+        depth: (T, 3) linear function z/w, as its value at the reference pixel and its slopes per pixel along x and y.
+        low, high: (T,) smallest and largest z/w of the vertices, to which the depth is clamped.
         reference: (T, 2) column and row of the reference pixel, which is the origin of the linear functions.
-        is_valid: (T,) whether the triangle is not degenerate.
+        is_valid: (T,) true if the triangle is not degenerate.
     """
 
     b: Tensor
@@ -96,9 +96,9 @@ def _rasterize_image(
 def make_planes(pos: Tensor, corners: Tensor, reference: Tensor, size: tuple[int, int]) -> Planes:
     """Compute the linear functions of triangles in float64, and round them to the dtype of ``pos``.
 
-    Let M be the matrix with the columns (x, y, w) of the vertices, and f a pixel centre in normalised device
-    coordinates. Then element k of M^-1 @ (f_x, f_y, 1) is the weight of vertex k at the pixel centre, divided by w at
-    the pixel centre (Olano and Greer 1997).
+    Let M be the matrix whose columns are (x, y, w) of the vertices, and let f be a pixel centre in normalised device
+    coordinates. Element k of M^-1 @ (f_x, f_y, 1) is vertex k's perspective-correct barycentric coordinate at f,
+    divided by w at f (Olano and Greer 1997).
 
     Args:
         pos: (V, 4) clip coordinates.
@@ -129,8 +129,8 @@ def make_planes(pos: Tensor, corners: Tensor, reference: Tensor, size: tuple[int
 
 
 def _nearest(pieces: Pieces, planes: Planes, previous: Tensor | None, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
-    """For each pixel, return the index (H, W) and the depth (H, W) of the nearest piece. The index is -1 where there is
-    no piece."""
+    """Return the index (H, W) and the depth (H, W) of the nearest piece at each pixel. The index is -1 where there is
+    none."""
     height, width = size
     best = torch.full(size, -1, dtype=torch.int64)
     best_depth = torch.full(size, torch.inf, dtype=planes.depth.dtype)
@@ -153,7 +153,7 @@ def _nearest(pieces: Pieces, planes: Planes, previous: Tensor | None, size: tupl
 
 def _is_behind(depth: Tensor, triangle: int, previous: Tensor) -> Tensor:
     """Return a mask of the pixels at which a triangle comes after the triangle of the previous layer. Triangles are
-    ordered by depth, and triangles of equal depth are ordered by index.
+    ordered by depth, and by index at equal depth.
 
     The mask is False where the previous layer shows the background.
     """
@@ -167,7 +167,7 @@ def _distances(reference: Tensor, column: Tensor, row: Tensor, dtype: torch.dtyp
 
 
 def _cross(a: Tensor, b: Tensor) -> Tensor:
-    """Return the cross product, computed in the same order of operations as in the kernels."""
+    """Return the cross product, computed with the kernels' order of operations."""
     return torch.stack(
         [
             a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
@@ -179,5 +179,5 @@ def _cross(a: Tensor, b: Tensor) -> Tensor:
 
 
 def _dot(a: Tensor, b: Tensor) -> Tensor:
-    """Return the dot product over the last axis. The terms are added from the first element to the last."""
+    """Return the dot product over the last axis, summed from the first element to the last."""
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]

@@ -1,4 +1,4 @@
-"""Compositing of discs along rays on a GPU, for torch tensors."""
+"""Composites discs along rays on a GPU, for torch tensors."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from fourd.ops.rays.discs import MAX_LAYERS, DiscTree
 
 
 class GpuDiscTree:
-    """A tree of boxes over N discs in device memory. For CPU tensors, the emulated kernel runs.
+    """A bounding volume hierarchy of N discs in device memory. CPU tensors use the emulated kernel.
 
-    The colours are bit-identical to the colours that :class:`fourd.ops.rays.discs.DiscTree` computes.
+    The colours are bit-identical to those of :class:`fourd.ops.rays.discs.DiscTree`.
     """
 
     def __init__(self, xyz: Tensor, radius: Tensor, density: Tensor, *, threads: int = 0) -> None:
         """Build the tree on the CPU and copy it to the device of ``xyz``.
 
-        The arguments have the same meaning as for :class:`fourd.ops.rays.discs.DiscTree`, but the arrays are float32
-        tensors on one device.
+        The arguments are those of :class:`fourd.ops.rays.discs.DiscTree`, except that the arrays are float32 tensors on
+        one device.
 
         Raises:
             TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
@@ -49,11 +49,11 @@ class GpuDiscTree:
     ) -> Tensor:
         """Composite the ``layers`` nearest discs of each ray, as :meth:`fourd.ops.rays.discs.DiscTree.composite` does.
 
-        The arguments are float32 tensors on the device of the tree, without gradient. The work is queued on torch's
-        current stream. The call returns before the colours are complete.
+        The arguments are float32 tensors on the tree's device, and gradients are not supported. The work is queued on
+        torch's current stream, and the call returns before it finishes.
 
         Returns:
-            (R, 4) float32 on the device: colour times alpha, and alpha.
+            (R, 4) float32 premultiplied colours and alpha, on the device.
 
         Raises:
             TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.

@@ -1,4 +1,4 @@
-"""Compositing of discs along rays, for NumPy arrays (``csrc/rays/discs.h``)."""
+"""Composites discs along rays, for NumPy arrays (``csrc/rays/discs.h``)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ MAX_LAYERS = 64
 
 
 class DiscTree:
-    """An immutable tree of boxes over N discs, which several threads can use at the same time.
+    """An immutable bounding volume hierarchy of N discs, which several threads can use at the same time.
 
     Attributes:
-        nodes, blocks: the boxes of the tree, and groups of discs at its leaves. Each row has the bytes of one struct
-            Node of csrc/rays/rays.h or DiscBlock of csrc/rays/discs.h, viewed as float32.
+        nodes, blocks: the tree's nodes, and the groups of discs at its leaves. Each row has the bytes of one struct
+            Node (csrc/rays/rays.h) or DiscBlock (csrc/rays/discs.h), viewed as float32.
         magnitude: largest absolute coordinate of the discs' boxes, in world units.
     """
 
@@ -31,12 +31,13 @@ class DiscTree:
         Args:
             xyz: (N, 3) float32 centres in world units.
             radius: (N,) float32 radii in world units.
-            density: (N,) float32 alpha at the centre; values above 1 count as 1. A disc is never hit if one of its
-                numbers is not finite, or if its radius or density is not positive.
+            density: (N,) float32 alpha at the centre; values above 1 count as 1. Discs with a non-finite value, or with
+                a radius or density that is not positive, are never hit.
             threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores.
 
         Raises:
-            ValueError: for arrays of wrong shapes or dtypes. ImportError: if the native module is not built.
+            ValueError: for an array of the wrong shape or dtype.
+            ImportError: if the native module is not built.
         """
         self._count = len(xyz)
         _check("xyz", xyz, (self._count, 3))
@@ -60,27 +61,26 @@ class DiscTree:
         layers: int = 12,
         threads: int = 0,
     ) -> Array:
-        """Composite the K nearest discs of each ray, front to back. Discs with equal t are composited in the order of
-        their indices.
+        """Composite the K nearest discs of each ray, front to back, and by index at equal t.
 
-        The alpha of a disc at the distance d from its centre is density * (1 - d^2 / radius^2).
+        At the distance d from a disc's centre, its alpha is density * (1 - d^2 / radius^2).
 
         Args:
             colours: (N, 3) float32 colours of the discs.
-            origins, directions: (R, 3) float32. A point on a ray is ``origin + t * direction``. A ray hits nothing if
-                its direction is zero, or if a coordinate of its origin or direction is not finite.
-            facing: (3,) float32 normal of all discs, for example the viewing direction of a pinhole camera. If
-                ``facing`` is None, each disc faces the ray.
-            t_min, t_max: only hits with t in [t_min, t_max] count. ``t_max`` is one number, or an array (R,) float32
-                with one number for each ray.
+            origins, directions: (R, 3) float32. The points of a ray are ``origin + t * direction``. A ray with zero
+                direction or non-finite coordinates hits nothing.
+            facing: (3,) float32 normal of all discs, for example the viewing direction of a pinhole camera. If None,
+                each disc faces the ray.
+            t_min, t_max: only hits with t in [t_min, t_max] count. ``t_max`` is one number, or a float32 array (R,)
+                with one number per ray.
             layers: number K, from 1 to 64.
             threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores.
 
         Returns:
-            (R, 4) float32: colour times alpha, and alpha.
+            (R, 4) float32 premultiplied colours and alpha.
 
         Raises:
-            ValueError: for arrays of wrong shapes or dtypes, or ``layers`` out of range.
+            ValueError: for an array of the wrong shape or dtype, or ``layers`` out of range.
         """
         _check("colours", colours, (self._count, 3))
         _check("origins", origins, (len(origins), 3))

@@ -1,4 +1,4 @@
-"""Ray tracing: the operator ``torch.ops.fourd.trace_rays`` and its gradient, and the functions that build trees.
+"""Ray tracing: the operator ``torch.ops.fourd.trace_rays`` with its gradient, and functions that build and refit trees.
 
 The public API, which checks the arguments, is :mod:`fourd.raster.rays`.
 """
@@ -18,20 +18,20 @@ RayHits = tuple[Tensor, Tensor, Tensor, Tensor]
 
 
 def build_tree(xyz: Tensor, tri: Tensor, threads: int) -> tuple[Tensor, Tensor, float]:
-    """Build a tree over the triangles ``tri`` (T, 3) of the positions ``xyz`` (V, 3), on the CPU.
+    """Build a bounding volume hierarchy of the triangles ``tri`` (T, 3) with the vertices ``xyz`` (V, 3), on the CPU.
 
     Returns:
-        N tree nodes (N, 64), B blocks of up to eight triangles (B, 80), both on the device of ``xyz``, and the largest
-        absolute coordinate of the triangles. Each row of the nodes and blocks has the bytes of one struct Node or Block
-        of csrc/rays/rays.h, viewed as float32.
+        the tree's nodes (N, 64) and blocks of up to eight triangles (B, 80), both on the device of ``xyz``, and the
+        largest absolute coordinate of the triangles. Each row has the bytes of one struct Node or Block of
+        csrc/rays/rays.h, viewed as float32.
     """
     nodes, blocks, magnitude = load_native().build_rays(as_array(xyz.cpu()), as_array(tri.cpu()), _threads(threads))
     return torch.from_numpy(nodes).to(xyz.device), torch.from_numpy(blocks).to(xyz.device), magnitude
 
 
 def refit_tree(xyz: Tensor, tri: Tensor, nodes: Tensor, blocks: Tensor, threads: int) -> tuple[Tensor, Tensor, float]:
-    """Copy ``nodes`` and ``blocks``, and refit the copies to triangles with the vertex positions ``xyz``. Return the
-    copies and the largest absolute coordinate."""
+    """Refit copies of ``nodes`` and ``blocks`` to the new vertex positions ``xyz``. Return the copies and the largest
+    absolute coordinate."""
     moved_nodes, moved_blocks = nodes.cpu().clone(), blocks.cpu().clone()
     magnitude = load_native().refit_rays(
         as_array(xyz.cpu()), as_array(tri.cpu()), _threads(threads), moved_nodes.numpy(), moved_blocks.numpy()
@@ -40,7 +40,7 @@ def refit_tree(xyz: Tensor, tri: Tensor, nodes: Tensor, blocks: Tensor, threads:
 
 
 def tree_cost(nodes: Tensor, blocks: Tensor) -> float:
-    """For a random ray that hits the root's box, return the expected number of boxes that the ray hits."""
+    """Return the expected number of boxes that a random ray hits, given that it hits the root's box."""
     return load_native().rays_cost(as_array(nodes.cpu()), as_array(blocks.cpu()))
 
 
@@ -62,8 +62,7 @@ def trace_rays(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Find the ``layers`` nearest hits of each ray. Return t, u, v and triangle, each (R, layers).
 
-    ``t_min`` and ``t_max`` have one element for all rays, or one element for each ray. ``xyz`` and ``tri`` are used
-    only by the gradient.
+    ``t_min`` and ``t_max`` have one element for all rays, or one per ray. Only the gradient uses ``xyz`` and ``tri``.
     """
     hits = _empty_hits(origins, layers)
     tensors = (nodes, blocks, origins, directions, t_min, t_max, after_t, after_triangle)
@@ -113,7 +112,7 @@ def trace_rays_backward(
     to_v: Tensor,
     threads: int,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the gradients of xyz, origins and directions from the gradients of t, u and v (R, K)."""
+    """Compute the gradients of ``xyz``, ``origins`` and ``directions`` from the gradients (R, K) of t, u and v."""
     gradients = torch.empty_like(xyz), torch.empty_like(origins), torch.empty_like(directions)
     tensors = (xyz, tri, origins, directions, t, u, v, triangle, to_t, to_u, to_v)
     if uses_gpu_kernels(origins):
@@ -155,7 +154,7 @@ def _setup(ctx: Any, inputs: tuple[Any, ...], output: RayHits) -> None:
 def _backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
     xyz, tri, origins, directions, t, u, v, triangle = ctx.saved_tensors
     needs_xyz, needs_origins, needs_directions = (ctx.needs_input_grad[k] for k in (3, 5, 6))
-    # There is one result for each argument of trace_rays, and only three arguments have a gradient.
+    # The results match the arguments of trace_rays, of which only three have a gradient.
     none = [None] * 13
     if all(grad is None for grad in grads[:3]) or not (needs_xyz or needs_origins or needs_directions):
         return tuple(none)
@@ -183,7 +182,7 @@ def occluded_rays(
     t_max: Tensor,
     threads: int,
 ) -> Tensor:
-    """Return (R,) bool: whether each ray hits a triangle with t in [t_min, t_max]."""
+    """Return a mask (R,) of the rays that hit a triangle with t in [t_min, t_max]."""
     out = torch.empty(len(origins), dtype=torch.uint8, device=origins.device)
     tensors = (origins, directions, t_min, t_max)
     if uses_gpu_kernels(origins):

@@ -1,7 +1,7 @@
-"""Ray tracing in plain torch, by testing every ray against every triangle: slow, but simple.
+"""Ray tracing in plain torch, which tests every ray against every triangle: slow, but simple.
 
 In float32, the reference uses the same operations as ``csrc/rays/maths.h``, so it finds the same hits in the same
-order. In float64, the t, u and v of the reference are differentiable by autograd.
+order. Its t, u and v are differentiable through autograd.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ MAX_MAGNITUDE = 1e18
 MIN_DIRECTION = 1e-18
 PADDING = 2.0**-21
 CHUNK = 1 << 19
-"""Maximum number of pairs of a ray and a triangle that are tested at once."""
+"""Maximum number of ray-triangle pairs that are tested at once."""
 
 
 def trace_rays_reference(
@@ -29,7 +29,7 @@ def trace_rays_reference(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Compute the result of :func:`fourd.ops.rays.op.trace_rays`, in float32 or float64.
 
-    t, u and v are differentiable in xyz, origins and directions.
+    The results t, u and v are differentiable in ``xyz``, ``origins`` and ``directions``.
     """
     rays = len(origins)
     t = origins.new_full((rays, layers), torch.inf)
@@ -46,7 +46,7 @@ def trace_rays_reference(
                 (found == after_t[part, None]) & (index > after_triangle[part, None])
             )
             found = torch.where(later, found, torch.nan)
-        # A stable sort keeps triangles of equal t in the order of their indices. NaN comes last.
+        # A stable sort orders triangles of equal t by index. NaN comes last.
         ordered, index = torch.sort(found, dim=1, stable=True)
         count = min(layers, len(tri))
         is_hit = ~torch.isnan(ordered[:, :count])
@@ -56,7 +56,7 @@ def trace_rays_reference(
 
 
 def _intersect(corners: Tensor, origins: Tensor, directions: Tensor, t_min: Tensor, t_max: Tensor) -> Tensor:
-    """For each ray and triangle, return t (R, T), which is NaN where there is no hit."""
+    """Return t (R, T) for each ray and triangle, which is NaN where there is no hit."""
     valid_triangle = (corners.abs() <= MAX_MAGNITUDE).flatten(1).all(1)
     kept = corners[valid_triangle]
     magnitude = kept.abs().max() if len(kept) > 0 else corners.new_zeros(())
@@ -75,7 +75,7 @@ def _intersect(corners: Tensor, origins: Tensor, directions: Tensor, t_min: Tens
 
 
 def _woop(corners: Tensor, origins: Tensor, scaled: Tensor, axis: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return t and the three barycentric weights before normalization, each (R, T)."""
+    """Return t and the three unnormalised barycentric coordinates, each (R, T)."""
     z = axis
     is_negative = scaled.gather(1, z[:, None])[:, 0] < 0
     x = torch.where(is_negative, (z + 2) % 3, (z + 1) % 3)
@@ -102,8 +102,7 @@ def _woop(corners: Tensor, origins: Tensor, scaled: Tensor, axis: Tensor) -> tup
 
 
 def _box_interval(corners: Tensor, origins: Tensor, scaled: Tensor, magnitude: Tensor) -> tuple[Tensor, Tensor]:
-    """For each ray and triangle, return the first and the last t (R, T) at which the ray is in the triangle's padded
-    box."""
+    """Return the first and the last t (R, T) at which each ray is in each triangle's padded bounding box."""
     farthest = torch.maximum(origins.abs().amax(1), magnitude)
     share = torch.full_like(scaled, MIN_DIRECTION)
     at_least = torch.where(scaled < 0, torch.minimum(scaled, -share), torch.maximum(scaled, share))
@@ -124,8 +123,8 @@ def _box_interval(corners: Tensor, origins: Tensor, scaled: Tensor, magnitude: T
 def _with_weights(
     xyz: Tensor, tri: Tensor, origins: Tensor, directions: Tensor, t: Tensor, triangle: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return t, u, v and the triangle of each hit. With the triangle's vertices a, b and c, t, u and v solve
-    ``origin + t * direction = u * a + v * b + (1 - u - v) * c``."""
+    """Return t, u, v and the triangle of each hit. t, u and v solve
+    ``origin + t * direction = u * a + v * b + (1 - u - v) * c``, where a, b and c are the triangle's vertices."""
     ray, layer = (triangle >= 0).nonzero(as_tuple=True)
     a, b, c = xyz[tri.long()[triangle[ray, layer].long()]].unbind(1)
     d, p, q = -directions[ray], a - c, b - c
@@ -154,8 +153,8 @@ def composite_discs_reference(
     t_min: float,
     layers: int,
 ) -> Tensor:
-    """Compute the result of :meth:`fourd.ops.rays.discs.DiscTree.composite`, (R, 4), with a slow, simple
-    implementation. Discs and rays must be valid."""
+    """Compute the result (R, 4) of :meth:`fourd.ops.rays.discs.DiscTree.composite` in a slow, but simple way. Discs and
+    rays must be valid."""
     away = xyz[None] - origins[:, None]
     normal = directions[:, None] if facing is None else facing.expand(len(origins), 1, 3)
     t = (away * normal).sum(-1) / (directions[:, None] * normal).sum(-1)

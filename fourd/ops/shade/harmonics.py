@@ -9,18 +9,18 @@ from typing import Any
 
 SH_TERMS = 16
 SH_CONSTANT = 0.28209479177387814
-"""Spherical harmonic 0, which is the same for all directions."""
+"""Value of spherical harmonic 0, which is the same for all directions."""
 
 
 def directional_terms(x: Any, y: Any, z: Any) -> list[Any]:
     """Evaluate spherical harmonics 1 to 15 at unit vectors (x, y, z).
 
     Args:
-        x, y, z: NumPy arrays or torch tensors of equal shape. The vectors must have unit length.
+        x, y, z: NumPy arrays or torch tensors of equal shape.
 
     Returns:
-        15 arrays with the shape of ``x``. The spherical harmonics 0 (:data:`SH_CONSTANT`) to 15 are an orthonormal
-        basis on the sphere.
+        15 arrays with the shape of ``x``. Together with spherical harmonic 0 (:data:`SH_CONSTANT`), they are
+        orthonormal on the sphere.
     """
     xx, yy, zz = x * x, y * y, z * z
     return [

@@ -20,16 +20,16 @@ def shade_points(
 ) -> NDArray[np.float32]:
     """Blend the colours of the selected source views and add spherical harmonics (4K4D, sec. 3.2).
 
-    Let d be the unit vector from the camera to the point, and Y(d) the 16 spherical harmonics in direction d. The
-    colour is ``sum_v(f_v * w_v * rgb_v) / sum_v(f_v * w_v) + sh_base + sh_range * tanh(sh . Y(d))``. The sums are over
-    the views v in ``shading.views``, with blend weights w_v and view weights f_v. If all blend weights w_v of a point
-    are 0, f_v replaces the product f_v * w_v.
+    Let d be the unit vector from the camera to the point, and Y(d) the 16 spherical harmonics in direction d. Let w_v
+    be the point's blend weight for the view v in ``shading.views``, and f_v the weight of the view. The colour is
+    ``sum_v(f_v * w_v * rgb_v) / sum_v(f_v * w_v) + sh_base + sh_range * tanh(sh . Y(d))``. If all blend weights w_v of
+    a point are 0, f_v replaces the product f_v * w_v.
 
     Args:
         xyz: (N, 3) positions, world units.
-        sh: (N, 3, 16) spherical harmonics coefficients of red, green and blue.
+        sh: (N, 3, 16) spherical harmonics coefficients for red, green and blue.
         blend_weights: (N, V) blend weights, 0 or more.
-        rgb: (N, V, 3) uint8, the points' colours in the source views. The formula above uses rgb / 255.
+        rgb: (N, V, 3) uint8 colours of the points in the source views, divided by 255 in the formula above.
         shading: the viewpoint and the indices, from 0 to V - 1, of the views to blend.
         threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
 

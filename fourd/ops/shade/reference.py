@@ -35,16 +35,16 @@ def shade_points_reference(
 
 
 def sh_basis(directions: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Evaluate the 16 real spherical harmonics up to degree 3 at unit vectors (N, 3). Returns (N, 16) float32."""
+    """Evaluate the 16 real spherical harmonics up to degree 3 at unit vectors (N, 3). Return (N, 16) float32."""
     x, y, z = directions.T
     terms = [np.full_like(x, SH_CONSTANT), *directional_terms(x, y, z)]
     return np.stack(terms, axis=1).astype(np.float32, copy=False)
 
 
 def _normalize(blend_weights: NDArray[np.float32], view_weights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Multiply blend weights (N, V) by view weights (V,), and scale each row of the result (N, V) so that its sum is 1.
+    """Multiply blend weights (N, V) by view weights (V,), and normalise each row of the result (N, V) to the sum 1.
 
-    If a row contains only zeros, the scaled view weights replace it.
+    Rows that contain only zeros are replaced by the normalised view weights.
     """
     weights = blend_weights * view_weights
     total = weights.sum(axis=1, keepdims=True)

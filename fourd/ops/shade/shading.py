@@ -1,4 +1,4 @@
-"""Inputs of shading apart from the points: the viewpoint, the source views and the constants of the colour model."""
+"""The inputs of shading that do not depend on the points."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ class Shading:
     """The viewpoint, the source views and the constants of the colour model.
 
     Attributes:
-        views: (N',) int32 indices of the source views to blend. The array is empty if colours come only from spherical
-            harmonics.
-        view_weights: (N',) float32 factors in [0, 1] by which the views' blend weights are multiplied. At least one
-            factor is above 0. C-contiguous.
+        views: (N',) int32 indices of the source views to blend, empty if colours come only from spherical harmonics.
+        view_weights: (N',) float32 factors in [0, 1] for the views' blend weights, C-contiguous. At least one is
+            positive.
         centre: (3,) float64 position of the viewing camera in the world, C-contiguous.
         sh_range, sh_base: constants of the view-dependent colour ``sh_base + sh_range * tanh(sh . Y(d))``, where Y(d)
             are the spherical harmonics at the viewing direction d.

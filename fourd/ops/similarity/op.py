@@ -1,5 +1,5 @@
-"""Structural similarity as a loss: the operator ``torch.ops.fourd.similarity``, which computes value and gradient in
-one pass."""
+"""Structural similarity (SSIM) as a loss: the operator ``torch.ops.fourd.similarity``, which computes value and
+gradient in one pass."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def structural_similarity(prediction: Tensor, target: Tensor) -> Tensor:
 
     See :func:`fourd.ops.similarity.reference.structural_similarity_reference` for the definition.
 
-    Float32 images on the CPU use a kernel if the target requires no gradient. The kernel computes value and gradient
-    together, and both are bit-identical for any number of threads. Other inputs use the reference.
+    Float32 images on the CPU use a kernel if the target requires no gradient; other inputs use the reference. The
+    kernel computes value and gradient together, and both are bit-identical for any number of threads.
 
     Returns:
         The similarity as a scalar, differentiable in both images.
@@ -36,8 +36,8 @@ def structural_similarity(prediction: Tensor, target: Tensor) -> Tensor:
 
 @torch.library.custom_op("fourd::similarity", mutates_args=(), device_types="cpu")
 def _similarity(prediction: Tensor, target: Tensor, with_gradient: bool) -> tuple[Tensor, Tensor]:
-    """Return the similarity and its gradient (H, W, C) with respect to the prediction. If ``with_gradient`` is false,
-    the gradient is an empty tensor.
+    """Return the similarity and its gradient (H, W, C) with respect to the prediction. The gradient is an empty tensor
+    if ``with_gradient`` is False.
     """
     gradient = _empty_gradient(prediction, with_gradient)
     threads = thread_count(0, torch.get_num_threads())

@@ -13,7 +13,7 @@ C2 = 0.03**2
 
 
 def structural_similarity_reference(prediction: Tensor, target: Tensor) -> Tensor:
-    """Compute structural similarity (Wang et al. 2004) with an 11 x 11 Gaussian window of sigma 1.5 and data range 1.
+    """Compute SSIM (Wang et al. 2004) with an 11 x 11 Gaussian window of standard deviation 1.5 and data range 1.
 
     The result is the mean over channels and over the pixels whose window is entirely inside the image, as in
     ``skimage.metrics.structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False)``.
@@ -22,7 +22,7 @@ def structural_similarity_reference(prediction: Tensor, target: Tensor) -> Tenso
         prediction, target: floating-point images (..., H, W, C) of equal shape; H and W are at least 11 pixels.
 
     Returns:
-        The similarity as a scalar, which is 1 for equal images. The similarity is differentiable in both images.
+        The similarity as a scalar, which is 1 for equal images and differentiable in both images.
 
     Raises:
         ValueError: for different shapes, integer images, or an image smaller than the window.
@@ -35,8 +35,8 @@ def structural_similarity_reference(prediction: Tensor, target: Tensor) -> Tenso
         )
     x, y = _to_planes(prediction), _to_planes(target)
     planes = x.shape[1]
-    # In a loss, the target needs no gradient. The window means of y and y * y are therefore computed in a separate call
-    # of _blur, for which the backward pass has no work.
+    # The window means of y and y * y are computed in a separate call of _blur, which the backward pass skips because
+    # the target of a loss needs no gradient.
     mean_x, square_x, product = _blur(torch.cat([x, x * x, x * y], dim=1)).split(planes, dim=1)
     mean_y, square_y = _blur(torch.cat([y, y * y], dim=1)).split(planes, dim=1)
     covariance = product - mean_x * mean_y
@@ -47,7 +47,7 @@ def structural_similarity_reference(prediction: Tensor, target: Tensor) -> Tenso
 
 
 def check_image_pair(prediction: Tensor, target: Tensor) -> None:
-    """Check that two images have the same shape, and that both have a floating-point dtype. Raises ValueError."""
+    """Raise a ValueError unless two images have the same shape and both have a floating-point dtype."""
     if prediction.shape != target.shape:
         got = tuple(target.shape)
         raise ValueError(f"target: expected the prediction's shape {tuple(prediction.shape)}, got {got}")
@@ -56,7 +56,7 @@ def check_image_pair(prediction: Tensor, target: Tensor) -> None:
 
 
 def _to_planes(images: Tensor) -> Tensor:
-    """Reshape images from (..., H, W, C) to (1, B*C, H, W). Each channel becomes a plane for one grouped
+    """Reshape images from (..., H, W, C) to (1, B*C, H, W), where each channel is one plane of a grouped
     convolution."""
     height, width, channels = images.shape[-3:]
     planes = images.reshape(-1, height, width, channels).permute(0, 3, 1, 2)
@@ -64,7 +64,7 @@ def _to_planes(images: Tensor) -> Tensor:
 
 
 def _blur(planes: Tensor) -> Tensor:
-    """Filter planes (1, P, H, W) by the Gaussian window. The result (1, P, H-10, W-10) contains only the pixels whose
+    """Filter planes (1, P, H, W) with the Gaussian window. The result (1, P, H-10, W-10) contains only the pixels whose
     window is entirely inside the image."""
     count = planes.shape[1]
     offsets = torch.arange(WINDOW_PX, dtype=planes.dtype, device=planes.device) - WINDOW_PX // 2

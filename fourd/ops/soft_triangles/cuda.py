@@ -1,5 +1,4 @@
-"""Functions that call the CUDA kernels of ``csrc/soft_triangles`` with torch tensors and allocate their scratch
-memory."""
+"""Calls the CUDA kernels of ``csrc/soft_triangles`` with torch tensors, and allocates their scratch memory."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Soft rasterization: the operator ``torch.ops.fourd.rasterize_soft`` with its gradient.
 
 The public API, which checks the arguments and selects the backend, is :mod:`fourd.raster.triangles.soft`. The operator
-supports autograd and ``torch.library.opcheck``, and ``torch.compile`` through fake implementations.
+supports autograd, ``torch.library.opcheck`` and, through fake implementations, ``torch.compile``.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def rasterize_backward(
     layers: int,
     threads: int,
 ) -> tuple[Tensor, Tensor]:
-    """Compute the gradients of xyz and features from the gradients of the rendered images."""
+    """Compute the gradients of ``xyz`` and ``features`` from the gradients of the rendered images."""
     out = _empty_gradients(xyz, features)
     inputs, gradients = (xyz, tri, features), (grad_features, grad_alpha)
     if uses_gpu_kernels(xyz):

@@ -1,7 +1,7 @@
-"""The reference of soft rasterization in plain torch: slow, but simple.
+"""Soft rasterization in plain torch: slow, but simple.
 
-The reference works in float32 and float64 on any device and is differentiable by autograd. In float32, the reference
-computes coverages and depths by the same operations in the same order as ``csrc/soft_triangles/maths.h``.
+The reference works in float32 and float64 on any device and is differentiable through autograd. In float32, it computes
+coverages and depths with the same operations in the same order as ``csrc/soft_triangles/maths.h``.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from fourd.ops.soft_triangles.softness import Softness
 from fourd.ops.splat_triangles.reference import edges_of, pixel_centres, project_corners, triangles_in_range
 
 CHUNK = 1 << 21
-"""Maximum product of the number of pixels and the number of triangles per chunk. This limit bounds the memory use."""
+"""Maximum product of the numbers of pixels and triangles per chunk, which limits memory."""
 
 
 def rasterize_soft_reference(
@@ -33,7 +33,7 @@ def rasterize_soft_reference(
         for pixels in pixel_centres(camera, xyz).split(max(1, CHUNK // (len(kept) + 1)))
     ]
     colour, alpha = (torch.cat(chunk) for chunk in zip(*chunks, strict=True))
-    # Adding zero keeps the image connected to the inputs in autograd if every triangle is culled.
+    # If every triangle is culled, adding zero keeps the image connected to the inputs in the autograd graph.
     zero = xyz[:0].sum() + features[:0].sum()
     shape = (camera.height, camera.width)
     return colour.reshape(*shape, -1) + zero, alpha.reshape(shape) + zero
@@ -42,7 +42,7 @@ def rasterize_soft_reference(
 def _render(
     corners: Tensor, features: Tensor, pixels: Tensor, softness: Softness, sharpness: float, layers: int
 ) -> tuple[Tensor, Tensor]:
-    """Render P pixels. Returns features (P, C) and alpha (P,)."""
+    """Render P pixels. Return features (P, C) and alpha (P,)."""
     odds, depth = _coverage(corners, pixels, softness, sharpness)
     hit = (odds >= -math.log(1 / softness.cutoff - 1)) & (depth <= softness.far)
     hit = _nearest(hit, depth.detach(), layers)
@@ -59,11 +59,11 @@ def _render(
 
 
 def _coverage(corners: Tensor, pixels: Tensor, softness: Softness, sharpness: float) -> tuple[Tensor, Tensor]:
-    """Return two arrays (P, T) for T triangles at P pixels: the log-odds of the coverage D, and the camera depth."""
+    """Return the log-odds of the coverage D, and the camera depth, of T triangles at P pixels, each (P, T)."""
     u, v, z = corners.unbind(-1)
     _, _, length, area = edges_of(u, v)
     centre_x, centre_y = (u[:, 0] + u[:, 1] + u[:, 2]) / 3, (v[:, 0] + v[:, 1] + v[:, 2]) / 3
-    # The centroid is a constant in autograd, because it is only an origin that keeps rounding errors small.
+    # The centroid is only an origin that keeps rounding errors small, so autograd may treat it as a constant.
     centre_x, centre_y = centre_x.detach(), centre_y.detach()
     u, v = u - centre_x[:, None], v - centre_y[:, None]
     to_x, to_y = u - (pixels[:, :1] - centre_x)[..., None], v - (pixels[:, 1:] - centre_y)[..., None]
@@ -87,8 +87,8 @@ def _coverage(corners: Tensor, pixels: Tensor, softness: Softness, sharpness: fl
 
 
 def _nearest(hit: Tensor, depth: Tensor, layers: int) -> Tensor:
-    """Restrict hits (P, T) to the ``layers`` nearest triangles of each pixel. At equal depth, the triangle with the
-    smaller index counts as nearer."""
+    """Restrict hits (P, T) to each pixel's ``layers`` nearest triangles. At equal depth, the triangle with the smaller
+    index counts as nearer."""
     if hit.shape[1] <= layers:
         return hit
     order = torch.where(hit, depth, math.inf).argsort(dim=1, stable=True)

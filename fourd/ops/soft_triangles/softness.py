@@ -10,12 +10,11 @@ class Softness:
     """Parameters of soft rasterization (SoftRas, Liu et al. 2019).
 
     Attributes:
-        barycentric: whether the distance of a pixel from a triangle's edges is the smallest barycentric coordinate of
-            the pixel instead of a Euclidean distance.
-        sigma: width of the edges, as a squared distance.
+        barycentric: True to use a pixel's smallest barycentric coordinate as its distance from a triangle's edges,
+            instead of the Euclidean distance.
+        sigma: squared width of the soft edges.
         gamma: temperature of the depth softmax.
-        cutoff: a triangle is skipped at pixels where its coverage D, the share of the pixel that the triangle covers,
-            is below this number. In (0, 0.5).
+        cutoff: a triangle is skipped at pixels where its soft coverage D is below this number, which is in (0, 0.5).
         near, far: range of camera depths, in world units.
         eps: normalised depth of the background, from 0 at ``far`` to 1 at ``near``.
     """
@@ -29,5 +28,5 @@ class Softness:
     eps: float
 
     def pack(self) -> list[float]:
-        """Return the parameters as the numbers that the kernels expect."""
+        """Return the parameters as the list of numbers that the kernels expect."""
         return [float(self.barycentric), self.sigma, self.gamma, self.cutoff, self.near, self.far, self.eps]

@@ -1,1 +1,1 @@
-"""Bilinear samples of source views at projected points (``csrc/sources``)."""
+"""Bilinear sampling of source views at projected points (``csrc/sources``)."""

@@ -1,4 +1,4 @@
-"""Samples of source views at projected points: the operator ``torch.ops.fourd.sample_sources`` and its gradient."""
+"""Sampling of source views at projected points: the operator ``torch.ops.fourd.sample_sources`` and its gradient."""
 
 from __future__ import annotations
 
@@ -23,30 +23,28 @@ def sample_sources(
     cameras: list[float],
     softness: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Project points into every source view, and sample the view bilinearly at the projected points.
+    """Project points into every source view, and sample the view bilinearly at the projections.
 
     Float32 inputs use a kernel on the CPU, and on a CUDA device if the CUDA kernels are built and
     there are at most 16 views. Other inputs use :func:`fourd.ops.sources.reference.sample_sources_reference`.
 
     Args:
         xyz: (N, 3) world points.
-        features: (V, C, h, w) image features, or None. The features and ``images`` may have different resolutions.
-            Features in torch's channels_last format are not copied.
+        features: (V, C, h, w) image features, or None. Their resolution may differ from that of ``images``. Features in
+            torch's channels_last format are not copied.
         images: (V, 3, H, W) colours in [0, 1]. Not differentiable.
         mattes: (V, H, W) opacity in [0, 1], 1 where the object covers the pixel. Not differentiable.
-        depth: (V, H, W) depth of the nearest surface in world units, infinite where there is no surface. If ``depth``
-            is None, occlusion is not tested. Not differentiable.
+        depth: (V, H, W) depth of the nearest surface in world units, infinite where there is none. If None, occlusion
+            is not tested. Not differentiable.
         cameras: concatenated results of :func:`fourd.ops.points.validation.pack_camera` for all views.
-        softness: (N,) decay lengths of the points in world units, above 0. A point's occlusion factor is 1 up to two
-            decay lengths behind the surface. Beyond two decay lengths, the factor decays exponentially. Not
-            differentiable.
+        softness: (N,) positive decay lengths of the points in world units. A point's occlusion factor is 1 up to two
+            decay lengths behind the surface, and decays exponentially beyond that. Not differentiable.
 
     Returns:
         The pair (channels, visibility). The channels (V, C + 3, N) are the features followed by RGB, differentiable in
         ``xyz`` and ``features``. The visibility weights (V, N) are in [0, 1] and not differentiable. A visibility
-        weight is the squared matte times the occlusion factor. Points behind the camera have weight 0. The matte is
-        squared because pixels on the silhouette contain background colour, so their visibility weight must be lower
-        than their coverage.
+        weight is the squared matte times the occlusion factor, and 0 for points behind the camera. Squaring the matte
+        makes the weight at the silhouette, where pixels contain background colour, lower than the coverage.
 
     Raises:
         ValueError: if shapes do not match.
@@ -113,9 +111,7 @@ def _sample_backward(
     gradient: Tensor,
     needs_features: bool,
 ) -> tuple[Tensor, Tensor]:
-    """Compute the gradients of ``xyz`` and ``features``. If ``needs_features`` is false, the gradient of ``features``
-    is an empty tensor.
-    """
+    """Compute the gradients of ``xyz`` and ``features``. The latter is an empty tensor if ``needs_features`` is False."""
     grad_xyz, grad_features = _empty_gradients(xyz, features, needs_features)
     feature_rows = _channels_last(grad_features) if needs_features else None
     if uses_gpu_kernels(xyz):
@@ -184,7 +180,7 @@ def _optional_array(tensor: Tensor | None) -> Any:
 
 
 def _channels_last(features: Tensor | None) -> Tensor | None:
-    """Return a view (V, h, w, C) of the features (V, C, h, w). This is the memory order of torch's channels_last
+    """Return a view (V, h, w, C) of the features (V, C, h, w), which is contiguous if they are in channels_last
     format."""
     return None if features is None else features.permute(0, 2, 3, 1)
 

@@ -1,4 +1,4 @@
-"""Samples of source views at projected points, in plain torch."""
+"""Sampling of source views at projected points, in plain torch."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def project_points(xyz: Tensor, cameras: Sequence[float]) -> tuple[Tensor, Tenso
         cameras: concatenated results of :func:`fourd.ops.points.validation.pack_camera` for all cameras.
 
     Returns:
-        pixel coordinates (V, N, 2) as (x, y), and depth (V, N) in world units. Points with a depth of at most 1e-6 get
-        pixel coordinates far outside the image. Pixel coordinates and depth are differentiable in ``xyz``.
+        pixel coordinates (V, N, 2) as (x, y), and depth (V, N) in world units, both differentiable in ``xyz``. Points
+        with a depth of at most 1e-6 get pixel coordinates far outside the image.
     """
     numbers = torch.tensor(cameras, dtype=torch.float64).reshape(-1, 21)
     rotation, translation = numbers[:, 9:18].reshape(-1, 3, 3), numbers[:, 18:, None]

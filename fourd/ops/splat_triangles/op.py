@@ -1,7 +1,7 @@
 """Triangle splatting: the operator ``torch.ops.fourd.splat_triangles`` with its gradient.
 
 The public API, which checks the arguments and selects the backend, is :mod:`fourd.raster.triangles.splatting`. The
-operator supports autograd and ``torch.library.opcheck``, and ``torch.compile`` through fake implementations.
+operator supports autograd, ``torch.library.opcheck`` and, through fake implementations, ``torch.compile``.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 from fourd.ops.splat_triangles import cuda as gpu
 
 GEOMETRY_CHANNELS = 4
-"""Number of channels for geometry: three for the normal and one for the camera depth. If geometry is rendered, these
-are the last channels of the features."""
+"""Number of geometry channels: three for the normal and one for the camera depth. They are the last channels of the
+features if geometry is rendered."""
 
 Render = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
 
@@ -41,8 +41,8 @@ def splat(
 
     Returns:
         features (H, W, C), alpha (H, W), transmittance (H, W) = 1 - alpha, normal (H, W, 3), depth (H, W), and weight
-        (T,), the largest compositing weight of each triangle over all pixels. If ``geometry`` is false, normal and
-        depth are empty tensors. The transmittance and the weight have no gradient.
+        (T,), which is each triangle's maximum compositing weight over all pixels. If ``geometry`` is False, normal and
+        depth are empty tensors. Transmittance and weight have no gradient.
     """
     out = _empty_image(features, geometry, width, height)
     inputs = (xyz, tri, features, opacity, sigma)
@@ -95,7 +95,7 @@ def splat_backward(
     near: float,
     threads: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Compute the gradients of xyz, features, opacity and sigma.
+    """Compute the gradients of ``xyz``, ``features``, ``opacity`` and ``sigma``.
 
     ``rendered`` are the first five results of the operator. ``gradients`` are the gradients of features, alpha, normal
     and depth.

@@ -1,8 +1,8 @@
-"""The reference of triangle splatting in plain torch: slow, but simple.
+"""Triangle splatting in plain torch: slow, but simple.
 
-The reference works in float32 and float64 on any device and is differentiable by autograd. In float32, the reference
-computes the window of a triangle by the same operations in the same order as ``csrc/splat_triangles/maths.h``. The
-kernels and the reference therefore composite the same triangles at every pixel.
+The reference works in float32 and float64 on any device and is differentiable through autograd. In float32, it computes
+the triangles' window functions with the same operations in the same order as ``csrc/splat_triangles/maths.h``, so that
+the kernels and the reference composite the same triangles at every pixel.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ SMALLEST_WINDOW = 1e-7
 THINNEST_PX = 1e-4
 FARTHEST_PX = 2.0**24
 CHUNK = 1 << 21
-"""Maximum product of the number of pixels and the number of triangles per chunk. This limit bounds the memory use."""
+"""Maximum product of the numbers of pixels and triangles per chunk, which limits memory."""
 
 
 class Projected(NamedTuple):
     """M triangles projected to the image. All arrays have the shape (M,), except ``slope_x`` and ``slope_y`` (M, 3).
-    (``x``, ``y``) is the incentre in pixels. ``slope_x`` and ``slope_y`` are the slopes, per pixel along x and y, of
-    the signed distances from the three edges, scaled to 1 at the incentre. The alpha of a triangle is 1/255 where the
-    smallest of its three scaled distances equals ``smallest``, which is limited to at least SMALLEST_WINDOW."""
+    (``x``, ``y``) is the incentre in pixels. The signed distances from the three edges, scaled to 1 at the incentre,
+    have the slopes ``slope_x`` and ``slope_y`` per pixel. The smallest of the three distances is the triangle's window
+    function, and alpha is 1/255 where it equals ``smallest``. ``smallest`` is clamped to at least SMALLEST_WINDOW."""
 
     x: Tensor
     y: Tensor
@@ -48,8 +48,8 @@ def splat_triangles_reference(
     layers: int,
     near: float,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the composited features (H, W, C), the alpha (H, W), and the largest compositing weight (T,) of each
-    triangle over all pixels."""
+    """Compute the composited features (H, W, C), alpha (H, W), and each triangle's maximum compositing weight (T,) over
+    all pixels."""
     kept = _cull(project_corners(xyz.detach(), tri, camera), opacity.detach(), sigma.detach(), near)
     projected = _project(project_corners(xyz, tri[kept], camera), opacity[kept], sigma[kept])
     colours, alphas, best = [], [], xyz.new_zeros(len(kept))
@@ -60,14 +60,14 @@ def splat_triangles_reference(
         if len(kept) > 0:
             best = torch.maximum(best, weights.detach().amax(dim=0))
     shape = (camera.height, camera.width)
-    # Adding zero keeps the image connected to the inputs in autograd if every triangle is culled.
+    # If every triangle is culled, adding zero keeps the image connected to the inputs in the autograd graph.
     zero = sum((array[:0].sum() for array in (features, opacity, sigma)), start=xyz[:0].sum())
     weight = xyz.new_zeros(len(tri)).index_copy(0, kept, best)
     return torch.cat(colours).reshape(*shape, -1) + zero, torch.cat(alphas).reshape(shape) + zero, weight
 
 
 def project_corners(xyz: Tensor, tri: Tensor, camera: Camera) -> Tensor:
-    """Return the pixel coordinates u, v and the camera depth of the corners, (T, 3 corners, 3)."""
+    """Return the pixel coordinates u, v and the camera depth of each triangle's three corners, (T, 3, 3)."""
     k = torch.as_tensor(camera.intrinsics.copy()).to(xyz)
     r = torch.as_tensor(camera.rotation.copy()).to(xyz)
     t = torch.as_tensor(camera.translation.copy()).to(xyz)
@@ -102,12 +102,12 @@ def triangles_in_range(corners: Tensor, near: float) -> Tensor:
 
 
 def edges_of(u: Tensor, v: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return the x components, the y components and the lengths of the edges, (M, 3) each, and twice the signed area
-    (M,). Edge k runs from vertex k + 1 to vertex k + 2, modulo 3."""
+    """Return the x components, y components and lengths of the edges, each (M, 3), and twice the signed areas (M,).
+    Edge k runs from vertex k + 1 to vertex k + 2, modulo 3."""
     x = u[:, [2, 0, 1]] - u[:, [1, 2, 0]]
     y = v[:, [2, 0, 1]] - v[:, [1, 2, 0]]
-    # On some processors, torch does not round float32 square roots correctly, and thin triangles amplify the rounding
-    # error. The square roots are therefore computed in float64.
+    # The square roots are computed in float64, because torch rounds float32 square roots incorrectly on some
+    # processors, and thin triangles amplify the error.
     length = (x * x + y * y).double().sqrt().to(x)
     return x, y, length, x[:, 1] * y[:, 2] - x[:, 2] * y[:, 1]
 
@@ -133,12 +133,12 @@ def pixel_centres(camera: Camera, like: Tensor) -> Tensor:
 
 
 def _composite(projected: Projected, features: Tensor, pixels: Tensor, layers: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Composite front to back. Returns features (P, C), alpha (P,) and weights (P, M)."""
+    """Composite front to back. Return features (P, C), alpha (P,) and weights (P, M)."""
     dx = pixels[:, :1] - projected.x
     dy = pixels[:, 1:] - projected.y
     a = [1 + projected.slope_x[:, k] * dx + projected.slope_y[:, k] * dy for k in range(3)]
-    # torch.where gives the whole gradient to the first of several equal values, whereas torch.minimum would divide it
-    # between them.
+    # torch.where gives the whole gradient to the first of several equal values; torch.minimum would divide it among
+    # them.
     rest = torch.where(a[1] <= a[2], a[1], a[2])
     window = torch.where(a[0] <= rest, a[0], rest)
     hit = window >= projected.smallest
@@ -149,8 +149,8 @@ def _composite(projected: Projected, features: Tensor, pixels: Tensor, layers: i
     remaining = torch.full((len(pixels),), layers, device=pixels.device)
     columns, colour = [], pixels.new_zeros(len(pixels), features.shape[1])
     for index in range(alpha.shape[1]):
-        # The triangles are in depth order. A pixel composites no further triangle if its transmittance is too small, or
-        # if it has already composited ``layers`` triangles.
+        # The triangles are in depth order. Compositing of a pixel ends when its transmittance is too small or
+        # ``layers`` triangles are composited.
         taken = hit[:, index] & (transmittance > MIN_TRANSMITTANCE) & (remaining > 0)
         weight = torch.where(taken, transmittance * alpha[:, index], 0)
         colour = colour + torch.where(taken[:, None], weight[:, None] * features[index], 0)

@@ -1,1 +1,1 @@
-"""The image filter that turns the visible surface of a picture into a cartoon or a drawing."""
+"""The image filter that turns a rendered surface into a cartoon or a drawing."""

@@ -17,23 +17,23 @@ def stylize_surface(
     threads: int = 0,
     out: NDArray[np.uint8] | None = None,
 ) -> NDArray[np.uint8]:
-    """Draw a surface in a style. :mod:`fourd.ops.stylize.parameters` has the formulas.
+    """Draw a surface in a style, with the formulas of :mod:`fourd.ops.stylize.parameters`.
 
     Args:
         surface: the visible surface, in C-contiguous arrays.
         parameters: the style for the surface's camera.
-        line_state: (H, W) uint32 state of the lines of the previous picture from the same camera, or None. The function
-            overwrites the array with the state of the new picture. The lowest byte of an element is the strength of the
-            line. The upper 16 bits of an element are the upper 16 bits of a float32: the sum of the inverse depths at
-            the nine taps of the line filter. For the first picture from a camera, pass zeros.
+        line_state: (H, W) uint32 line state of the previous image from the same camera, or None. It is overwritten with
+            the state of the new image. Pass zeros for the first image from a camera. The lowest byte of an element is
+            the line strength. The upper 16 bits are those of a float32, the sum of the inverse depths at the nine taps
+            of the line filter.
         threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
-        out: C-contiguous (H, W, 4) uint8 array to draw into. If ``out`` is None, a new array is allocated.
+        out: C-contiguous (H, W, 4) uint8 array to draw into. If None, a new array is allocated.
 
     Returns:
-        (H, W, 4) uint8 picture: RGB over the paper, and alpha.
+        (H, W, 4) uint8 image with RGB, composited over the paper, and alpha.
 
     Raises:
-        TypeError, ValueError: for an array of another shape or dtype, or a number that is not finite or out of range.
+        TypeError, ValueError: for an array of the wrong shape or dtype, or a number that is not finite or out of range.
     """
     if out is None:
         out = np.empty((*surface.size, 4), np.uint8)

@@ -1,35 +1,34 @@
-"""The input of the stylizer: the visible surface of a picture, and the parameters of a style for one camera.
+"""The inputs of the stylizer: an image's visible surface, and the parameters of a style for one camera.
 
 A pixel has the albedo F (colour / alpha), the coverage s, the unit normal N and the camera depth z. V is the unit
-vector towards the camera, and L is the unit vector towards the light. The stylizer computes these quantities:
+vector towards the camera, and L is the unit vector towards the light. The stylizer performs these steps:
 
-- The closed surface. Points leave gaps through which a farther surface is visible. A pixel is in a gap if nearer
-  surfaces lie on both sides of it, in its row or in its column, at most three pixels away. The pixel gets the depth and
-  the normal of the farther one of these two nearer surfaces.
-- The tone t = (1 + N.L) / 2 and the detail d. The style selects the detail: N.V, clamp(o + p * z) or clamp(\\|o + p *
-  z\\|), where o is ``detail_offset`` and p is ``detail_per_depth`` of :class:`Numbers`.
-- The colour C = S(t, d) * (a + b * F) + c * F, where S is the shade table, and a, b and c are ``table_alone``,
-  ``table_times_albedo`` and ``albedo_alone``. Toon and X-Toon styles (Barla et al. 2006) have c = 0. Only in X-Toon
-  styles, S depends on d. Styles after Gooch et al. (1998) have a = 1 and b = 0, and S ranges from the cool colour to
+- Closing gaps. Points leave gaps through which a farther surface is visible. A pixel is in a gap if nearer surfaces
+  lie on both sides of it, in its row or in its column, at most three pixels away. Of these two surfaces, the pixel
+  gets the depth and the normal of the farther one.
+- Tone t = (1 + N.L) / 2 and detail d. The style selects d = N.V, clamp(o + p * z) or clamp(\\|o + p * z\\|), where o is
+  ``detail_offset`` and p is ``detail_per_depth`` of :class:`Numbers`.
+- Colour C = S(t, d) * (a + b * F) + c * F, where S is the shade table, and a, b and c are ``table_alone``,
+  ``table_times_albedo`` and ``albedo_alone``. Toon and X-Toon styles (Barla et al. 2006) have c = 0, and only in X-Toon
+  styles does S depend on d. Styles after Gooch et al. (1998) have a = 1 and b = 0, and S ranges from the cool colour to
   the warm colour. Where N.V is below ``angle_threshold``, C is mixed with ``angle_colour``.
 - Hatching with two layers of parallel lines. The lines widen where sqrt(t * g) is low, where g is the grey value of F.
 - Lines of strength e. A Sobel filter or a cross filter on 1 / z and on the cosines between normals finds the lines
-  (Saito and Takahashi 1990). If the state of the previous picture is given, lines fade in where the surface is at rest:
-  a line with the previous strength e_before < e gets the strength e + ``persistence`` * (e_before - e). A surface
-  counts as at rest at a pixel if the sum of the inverse depths at the filter's nine taps differs by at most 3% between
-  the previous and the new picture.
-- Lines near holes. The back of a surface is visible only through holes in the points. Because depths around holes are
-  irregular, a line is removed if a tap of the filter shows the back of a surface. The line stays if another tap of the
-  filter shows no surface.
-- Specks. Very short lines are not drawn. Each pixel is the centre of several squares, whose sides are 2, 4, 8, ..., 2 *
-  r pixels long, where r is the result of ``speck_reach``. The line at the pixel is drawn only if each of these squares
-  has a line of at least the strength LEAST_STRENGTH on its sides. The state for the next picture still contains the
-  specks.
-- The picture. C is composited over the paper with opacity s. Then the line colour is composited over the result with
-  opacity ``line_opacity`` * e.
+  (Saito and Takahashi 1990). If the line state of the previous image is given, lines fade in where the surface is at
+  rest: a line with the previous strength e_before < e gets the strength e + ``persistence`` * (e_before - e). The
+  surface is at rest at a pixel if the sum of the inverse depths at the filter's nine taps differs by at most 3% between
+  the previous and the new image.
+- Lines near holes. The back of a surface is visible only through holes between the points, around which depths are
+  irregular. A line is therefore removed if a filter tap shows the back of a surface, unless another tap shows no
+  surface.
+- Specks, which are very short lines, are not drawn. Consider the squares around a pixel with sides of 2, 4, 8, ...,
+  2 * r pixels, where r is the result of ``speck_reach``. The line at the pixel is drawn only if each of these squares
+  has a line of at least the strength LEAST_STRENGTH on its sides. The line state still contains the specks.
+- Output image. C is composited over the paper with opacity s, and the line colour over the result with opacity
+  ``line_opacity`` * e.
 
-The inverse depth 1 / z of a plane is a linear function of the pixel position. The cross filter uses second differences
-of 1 / z, which are 0 on planes, so it draws no lines on planes.
+The cross filter draws no lines on planes: the inverse depth 1 / z of a plane is linear in the pixel position, so the
+second differences of 1 / z, which the filter uses, are 0.
 """
 
 from __future__ import annotations
@@ -47,34 +46,33 @@ TONES = 256
 MAX_ROWS = 64
 """Maximum number of rows of a shade table."""
 GAP = 3
-"""A pixel in a gap is filled if the surfaces on both sides of the gap are at most this number of pixels away from the
-pixel."""
+"""A pixel in a gap is filled if the surfaces on both sides are at most this number of pixels away."""
 MAX_THICKNESS = 8
 """Maximum number of pixels between the taps of a line filter."""
 
 SAME_TAPS = 0.03
-"""A surface is at rest if the sum of the inverse depths at the line filter's taps changes by at most this share between
-two pictures."""
+"""A surface is at rest if the sum of the inverse depths at the line filter's taps changes by at most this fraction
+between two images."""
 
 BACK_WEIGHT = 0.1
-"""The depth and the normal of a visible surface are weighted means over points. Points whose normals face away from the
-camera have this weight, and points whose normals face the camera have the weight 1."""
+"""Weight of points whose normals face away from the camera in a visible surface's mean depth and mean normal. Points
+whose normals face the camera have the weight 1."""
 FRONT_SLOPE = 8.0
-"""Slope with which lines fade near the backs of surfaces. Let m be the largest dot product, over the filter's taps, of
-a tap's normal and the pixel's ray. A dot product is positive if the normal points away from the camera. A line has full
-strength at m = 0 and strength 0 at m = 1 / FRONT_SLOPE."""
+"""Slope with which lines fade near the backs of surfaces. Let m be the largest dot product of the pixel's ray with the
+normals at the filter's taps, which is positive for normals that point away from the camera. A line has full strength at
+m = 0, and strength 0 at m = 1 / FRONT_SLOPE."""
 
 
 def speck_reach(thickness: int) -> int:
-    """Half of the side length, in pixels, of the largest square that is searched around a pixel. If the pixel's line
-    does not reach the sides of this square, the line is a speck. The result is the largest power of 2 that is at most
+    """Return half the side length, in pixels, of the largest square that is searched around a pixel for specks. A line
+    that does not reach the sides of this square is a speck. The result is the largest power of 2 that is at most
     ``4 * (thickness + 1)``.
     """
     return 1 << (4 * (thickness + 1)).bit_length() - 1
 
 
 LEAST_STRENGTH = 32
-"""Minimum strength, from 0 to 255, at which a line on the side of a square counts in the search for specks."""
+"""Minimum strength, from 0 to 255, of the lines that count on a square's sides in the search for specks."""
 
 
 Detail = Literal["facing", "depth", "focus"]
@@ -86,16 +84,15 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The visible surface of a picture.
+    """The visible surface of an image.
 
     Attributes:
-        albedo: (H, W, 4) uint8: red, green and blue, each multiplied by alpha, then alpha.
-        inverse_depth: (H, W) float32: coverage divided by mean camera depth, in 1 / world units. In the mean depth,
-            points whose normals face away from the camera have a small weight (``front_weight`` in
-            fourd/ops/stylize/reference.py). The coverage is clamp(3 * alpha - 0.5, 0, 1). The inverse depth is 0 where
-            there is no surface.
-        normal: (H, W, 4) uint8: the three bytes 127 * n + 128, then 255 * coverage. n is the unit normal in the
-            camera's frame and points out of the surface. n is 0 where there is no surface.
+        albedo: (H, W, 4) uint8 premultiplied RGB, and alpha.
+        inverse_depth: (H, W) float32 coverage divided by mean camera depth, in 1 / world units, 0 where there is no
+            surface. The coverage is clamp(3 * alpha - 0.5, 0, 1). In the mean depth, points whose normals face away
+            from the camera have a small weight (``front_weight`` in fourd/ops/stylize/reference.py).
+        normal: (H, W, 4) uint8 values 127 * n + 128 (three channels) and 255 * coverage. n is the outward unit normal
+            in the camera frame, or 0 where there is no surface.
     """
 
     albedo: NDArray[np.uint8]
@@ -104,7 +101,7 @@ class Surface:
 
     @classmethod
     def empty(cls, height: int, width: int) -> Surface:
-        """Make a picture without surfaces."""
+        """Create the surface of an image that shows nothing."""
         albedo, normal = zeros_aligned((height, width, 4), np.uint8), zeros_aligned((height, width, 4), np.uint8)
         normal[..., :3] = 128
         return cls(albedo, zeros_aligned((height, width), np.float32), normal)
@@ -128,7 +125,7 @@ class Surface:
 
     @property
     def unit_normal(self) -> NDArray[np.float32]:
-        """(H, W, 3) unit normals in the camera's frame."""
+        """(H, W, 3) unit normals in the camera frame."""
         return (self.normal[..., :3].astype(np.float32) - 128) / np.float32(127)
 
 
@@ -137,25 +134,25 @@ class Numbers:
     """The numeric parameters of a style for one camera. Lengths are in pixels, colours are in [0, 1].
 
     Attributes:
-        ray: six numbers. The ray of pixel (x, y), scaled to depth 1, is ``(ray[0] * x + ray[1] * y + ray[2], ray[3] * x
-            + ray[4] * y + ray[5], 1)``.
-        light: unit vector towards the light in the camera's frame.
+        ray: six numbers that define the ray of pixel (x, y), scaled to depth 1:
+            ``(ray[0] * x + ray[1] * y + ray[2], ray[3] * x + ray[4] * y + ray[5], 1)``.
+        light: unit vector towards the light in the camera frame.
         table_alone, table_times_albedo, albedo_alone: the factors a, b and c in the formula of the colour C.
-        detail_offset, detail_per_depth: o and p in the formula of the detail. The unit of p is 1 / world units.
+        detail_offset, detail_per_depth: o and p in the formula of the detail d, with p in 1 / world units.
         angle_threshold, angle_softness, angle_strength, angle_colour: the colour is mixed with angle_colour where N.V
-            is below angle_threshold. The share of angle_colour changes gradually within angle_softness on both sides of
-            the threshold.
-        depth_threshold: relative jump of the inverse depth at which a line begins, above 0.
-        normal_threshold: change, over the filter's taps, of the cosine between the normal at the tap and the normal at
-            the pixel. A line begins where the change exceeds this number. Above 0.
+            is below angle_threshold. The mixing weight rises from 0 to angle_strength over a range of angle_softness on
+            each side of the threshold.
+        depth_threshold: relative jump of the inverse depth above which a line is drawn. Positive.
+        normal_threshold: change, over the filter's taps, of the cosine between the normals at the tap and at the pixel
+            above which a line is drawn. Positive.
         line_opacity, line_colour: opacity and colour of the strongest line.
-        hysteresis: where the previous picture has a line, the thresholds are multiplied by ``1 - hysteresis``. At least
-            0 and below 1.
-        persistence: at least 0 and below 1. Where the surface is at rest and a line becomes stronger, this number is
-            the weight of the line's previous strength.
-        hatch_spacing, hatch_levels, hatch_width, hatch_colour: hatching. Layer k, 0 or 1, has lines where the light
+        hysteresis: where the previous image has a line, the thresholds are multiplied by ``1 - hysteresis``. At least 0
+            and below 1.
+        persistence: weight of a line's previous strength where the surface is at rest and the line becomes stronger. At
+            least 0 and below 1.
+        hatch_spacing, hatch_levels, hatch_width, hatch_colour: hatching. Layer k (0 or 1) has lines where the light
             sqrt(t * g) is below hatch_levels[k]. hatch_width is the width of the lines where the light is 0, as a
-            fraction of hatch_spacing. With hatch_width 0, there is no hatching.
+            fraction of hatch_spacing. If it is 0, there is no hatching.
         paper: the colour behind the surface.
     """
 
@@ -183,7 +180,7 @@ class Numbers:
     paper: Triple = (0.0, 0.0, 0.0)
 
     def pack(self) -> NDArray[np.float32]:
-        """All numbers in one array, in the order of the struct Numbers in csrc/stylize/stylize.h."""
+        """Return all numbers in one array, in the order of the struct Numbers in csrc/stylize/stylize.h."""
         return np.concatenate([np.ravel(getattr(self, field.name)) for field in fields(self)]).astype(np.float32)
 
 
@@ -193,11 +190,10 @@ class StyleParameters:
 
     Attributes:
         numbers: see :class:`Numbers`.
-        table: the shade table, (R, 256, 3) uint8 with R from 1 to 64. Each column belongs to a tone, and each row to a
-            value of the detail.
+        table: (R, 256, 3) uint8 shade table with R from 1 to 64. Columns are tones, and rows are values of the detail.
         detail: the quantity that selects the row of the table.
-        lines: the filter that finds lines.
-        thickness: number of pixels between the taps of the filter, from 1 to 8.
+        lines: the line filter.
+        thickness: number of pixels between the filter's taps, from 1 to 8.
     """
 
     numbers: Numbers
@@ -207,6 +203,6 @@ class StyleParameters:
     thickness: int = 1
 
     def pack_table(self) -> NDArray[np.uint32]:
-        """The table as (R, 256) words with red in the lowest byte."""
+        """Return the table as (R, 256) words with red in the lowest byte."""
         red, green, blue = (self.table[..., channel].astype(np.uint32) for channel in range(3))
         return np.ascontiguousarray(red | green << 8 | blue << 16)

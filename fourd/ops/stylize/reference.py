@@ -1,4 +1,4 @@
-"""The stylizer in NumPy. The implementation is slow and simple. Tests compare the kernel and the shaders with it."""
+"""The stylizer in NumPy, with which tests compare the kernel and the shaders: slow, but simple."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ Image = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Stylized:
-    """A stylized picture: rgba (H, W, 4) uint8, and the line state (H, W) uint32 for the next picture."""
+    """A stylized image: ``rgba`` (H, W, 4) uint8, and ``line_state`` (H, W) uint32 for the next image."""
 
     rgba: NDArray[np.uint8]
     line_state: NDArray[np.uint32]
 
     @property
     def lines(self) -> NDArray[np.uint8]:
-        """(H, W) uint8 strength of the lines."""
+        """(H, W) uint8 line strengths."""
         return (self.line_state & 255).astype(np.uint8)
 
 
 def stylize_reference(
     surface: Surface, parameters: StyleParameters, line_state: NDArray[np.uint32] | None = None
 ) -> Stylized:
-    """Compute the picture of :func:`fourd.ops.stylize.op.stylize_surface`. ``line_state`` is not changed."""
+    """Compute the image of :func:`fourd.ops.stylize.op.stylize_surface`, without changing ``line_state``."""
     numbers = parameters.numbers
     closed = fill_gaps(surface)
     depth = closed.inverse_depth
@@ -70,7 +70,7 @@ def stylize_reference(
 
 
 def draw_lines(shaded: NDArray[np.uint8], lines: NDArray[np.uint8], numbers: Numbers) -> NDArray[np.uint8]:
-    """Draw lines (H, W) with strengths 0 to 255 over a shaded picture (H, W, 4)."""
+    """Draw lines, given as strengths (H, W) from 0 to 255, over a shaded image (H, W, 4)."""
     line = (numbers.line_opacity * lines.astype(np.float32) / 255).astype(np.float32)
     picture = (shaded.astype(np.float32) / 255).astype(np.float32)
     colour = _mix(picture[..., :3], numbers.line_colour, line)
@@ -78,12 +78,11 @@ def draw_lines(shaded: NDArray[np.uint8], lines: NDArray[np.uint8], numbers: Num
 
 
 def remove_specks(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
-    """Remove very short lines from the strengths (H, W). Each pixel is the centre of several squares with sides of 2,
-    4, 8, ..., ``2 * reach`` pixels. The line at the pixel stays if each of these squares has a line of at least
-    LEAST_STRENGTH on its sides. Pixels outside the picture count as pixels without lines.
+    """Remove very short lines (specks) from the strengths (H, W).
 
-    A group of connected lines is a speck if it does not reach the sides of the largest square. The smaller squares are
-    needed because another speck can lie on the sides of the largest square.
+    Consider the squares around a pixel with sides of 2, 4, 8, ..., ``2 * reach`` pixels. The pixel's line stays if each
+    of these squares has a line of at least LEAST_STRENGTH on its sides. Pixels outside the image have no lines. The
+    largest square alone is not enough, because another speck can lie on its sides.
     """
     kept, half = lines, 1
     while half <= reach:
@@ -93,8 +92,8 @@ def remove_specks(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
 
 
 def _strongest_around(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
-    """For each pixel, the strength (H, W) of the strongest line on the sides of a square around the pixel. The sides
-    are ``2 * reach`` pixels long."""
+    """For each pixel, return the strength (H, W) of the strongest line on the sides of the square around it with sides
+    of ``2 * reach`` pixels."""
     padded = np.pad(lines, reach)
     side = 2 * reach + 1
     columns = sliding_window_view(padded, side, axis=0).max(-1)  # (H, W + 2 * reach)
@@ -104,9 +103,9 @@ def _strongest_around(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]
 
 
 def front_weight(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Weight of a point in the mean depth and the mean normal of a visible surface. ``cosine`` is the cosine of the
-    angle between the point's normal and the direction to the camera. Because of the weight, the backs of surfaces have
-    an effect only where no other points are visible."""
+    """Return a point's weight in the mean depth and the mean normal of a visible surface. ``cosine`` is the cosine of
+    the angle between the point's normal and the direction to the camera. The weight is small for the backs of surfaces,
+    so they matter only where no other points are visible."""
     return BACK_WEIGHT + (1 - BACK_WEIGHT) * np.clip(0.5 + 5 * cosine, 0, 1)
 
 
@@ -134,7 +133,7 @@ def fill_gaps(surface: Surface) -> Surface:
 
 
 def find_lines(surface: Surface, parameters: StyleParameters, line_state: NDArray[np.uint32] | None = None) -> Image:
-    """Strength (H, W) in [0, 1] of the lines of a surface whose gaps are filled."""
+    """Return the line strengths (H, W), in [0, 1], of a surface whose gaps are filled."""
     scale = np.ones(surface.size, np.float32)
     if parameters.lines == "none":
         return np.zeros(surface.size, np.float32)
@@ -151,8 +150,8 @@ def find_lines(surface: Surface, parameters: StyleParameters, line_state: NDArra
 
 
 def _seen_bits(surface: Surface, thickness: int) -> NDArray[np.uint32]:
-    """For each pixel, the float32 sum of the inverse depths at the nine taps of the line filter, as uint32 (H, W) with
-    the lower 16 bits set to 0."""
+    """Return the float32 sum of the inverse depths at the nine taps of the line filter, as the bits of a uint32 (H, W)
+    with the lower 16 bits set to 0."""
     depth, shift = surface.inverse_depth, _Shift(thickness)
     corners = (shift(depth, -1, -1) + shift(depth, -1, 1)) + (shift(depth, 1, -1) + shift(depth, 1, 1))
     arms = (shift(depth, -1, 0) + shift(depth, 1, 0)) + (shift(depth, 0, -1) + shift(depth, 0, 1))
@@ -160,7 +159,7 @@ def _seen_bits(surface: Surface, thickness: int) -> NDArray[np.uint32]:
 
 
 def _fresh_lines(surface: Surface, parameters: StyleParameters, scale: Image) -> Image:
-    """Strength of the lines of this picture, before they fade in. The thresholds are multiplied by ``scale``."""
+    """Return the line strengths of this image before fading in. The thresholds are multiplied by ``scale``."""
     numbers, depth, coverage = parameters.numbers, surface.inverse_depth, surface.coverage
     normal = surface.unit_normal * coverage[..., None]
     shift = _Shift(parameters.thickness)
@@ -180,8 +179,8 @@ def _fresh_lines(surface: Surface, parameters: StyleParameters, scale: Image) ->
     most = np.maximum(np.max([taps[at][0] for at in ((0, 0), *arms)], axis=0), 1e-20)
     bends = [np.abs(taps[a][0] + taps[b][0] - 2 * depth) for a, b in ((arms[0], arms[3]), (arms[1], arms[2]))]
     for axis, bend in enumerate(bends):
-        # Taps (neighbouring depths) outside the image repeat the border, which would look like a bend of the surface.
-        # Pixels with such taps are therefore excluded.
+        # Pixels with taps outside the image are excluded. Such taps repeat the border, which would look like a bend of
+        # the surface.
         bend.swapaxes(0, axis)[: parameters.thickness] = 0
         bend.swapaxes(0, axis)[max(bend.shape[axis] - parameters.thickness, 0) :] = 0
     flat = 1 - _ramp((bends[0] + bends[1]) / (2 * most), numbers.depth_threshold * scale)
@@ -191,7 +190,7 @@ def _fresh_lines(surface: Surface, parameters: StyleParameters, scale: Image) ->
 
 
 def _kept_lines(surface: Surface, parameters: StyleParameters) -> Image:
-    """Factors by which the strengths of lines are multiplied. A factor is 0 where a tap shows the back of a surface,
+    """Return the factors by which line strengths are multiplied. A factor is 0 where a tap shows the back of a surface,
     unless another tap shows no surface."""
     coverage, shift = surface.coverage, _Shift(parameters.thickness)
     normal, rays = surface.unit_normal * coverage[..., None], _rays(surface.size, parameters.numbers)
@@ -203,7 +202,7 @@ def _kept_lines(surface: Surface, parameters: StyleParameters) -> Image:
 
 
 def look_up(table: NDArray[np.uint8], tone: Image, detail: Image) -> Image:
-    """Colours of a shade table (R, 256, 3): the nearest column for the tone, and a linear mix of two rows."""
+    """Look up colours in a shade table (R, 256, 3), at the nearest column and interpolated between two rows."""
     column = (tone * (TONES - 1) + 0.5).astype(int)
     row = detail * (len(table) - 1)
     first = np.minimum(row.astype(int), max(len(table) - 2, 0))
@@ -213,7 +212,7 @@ def look_up(table: NDArray[np.uint8], tone: Image, detail: Image) -> Image:
 
 
 def hatching(light: Image, numbers: Numbers) -> Image:
-    """Opacity (H, W), in [0, 1], of the hatching lines. ``light`` (H, W) is sqrt(t * g), as in
+    """Return the opacity (H, W), in [0, 1], of the hatching lines. ``light`` (H, W) is sqrt(t * g) of
     :mod:`fourd.ops.stylize.parameters`."""
     height, width = light.shape
     y, x = np.mgrid[:height, :width].astype(np.float32) + np.float32(0.5)
@@ -242,7 +241,7 @@ class _Shift:
 
 
 def _sobel(taps: dict[tuple[int, int], Image]) -> Image:
-    """Magnitude of the Sobel gradient, scaled so that a step of height h gives h."""
+    """Return the magnitude of the Sobel gradient, scaled so that a step of height h gives h."""
     columns = {right: taps[-1, right] + taps[1, right] + 2 * taps[0, right] for right in (-1, 1)}
     rows = {down: taps[down, -1] + taps[down, 1] + 2 * taps[down, 0] for down in (-1, 1)}
     return np.sqrt((columns[1] - columns[-1]) ** 2 + (rows[1] - rows[-1]) ** 2) / 4
@@ -257,7 +256,7 @@ def _rays(size: tuple[int, int], numbers: Numbers) -> Image:
 
 
 def _ramp(value: Image, threshold: Image) -> Image:
-    """Linear ramp from 0 at the threshold to 1 at 1.5 times the threshold."""
+    """Return a linear ramp from 0 at the threshold to 1 at 1.5 times the threshold."""
     return _clamp(2 * (value / threshold - 1))
 
 

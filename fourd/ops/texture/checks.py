@@ -1,4 +1,4 @@
-"""Checks of the arguments of texture lookups."""
+"""Checks the arguments of texture lookups."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def check_max_level(max_mip_level: int | None) -> None:
 
 
 def count_levels(tex: Tensor, max_mip_level: int | None) -> int:
-    """Return the number of mip levels that are built from ``tex``, including level 0, which is ``tex``."""
+    """Return the number of mip levels built from ``tex``, including level 0, which is ``tex`` itself."""
     height, width = tex.shape[-3:-1]
     level = 0
     while max(height, width) > 1 and (max_mip_level is None or level < max_mip_level):

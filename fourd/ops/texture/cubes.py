@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-# For each face, the directions in space of its s axis, its t axis and its outward normal, as in OpenGL.
+# For each face, the directions of its s axis, its t axis and its outward normal, as in OpenGL.
 _FACES = (
     ((0, 0, -1), (0, -1, 0), (1, 0, 0)),
     ((0, 0, 1), (0, -1, 0), (-1, 0, 0)),
@@ -17,15 +17,15 @@ _FACES = (
 
 
 def face_axes(like: Tensor) -> Tensor:
-    """Return the axes (6, 3, 3) of the faces: for each face the s axis, the t axis and the normal."""
+    """Return the s axis, the t axis and the normal of each face, (6, 3, 3)."""
     return torch.tensor(_FACES, dtype=like.dtype, device=like.device)
 
 
 def face_of(direction: Tensor) -> Tensor:
-    """Return the index of the face that the ray in each direction (..., 3) meets.
+    """Return the index of the face that a ray in each direction (..., 3) meets.
 
-    A ray through an edge or a corner of the cube meets several faces. If the x face is one of them, the x face is
-    returned, and otherwise the y face.
+    A ray through an edge or a corner of the cube meets several faces. The x face has priority over the y face, and the
+    y face over the z face.
     """
     size = direction.detach().abs()
     x, y, z = size.unbind(-1)
@@ -35,7 +35,7 @@ def face_of(direction: Tensor) -> Tensor:
 
 
 def project(direction: Tensor, face: Tensor) -> Tensor:
-    """Return the positions (..., 2) in [0, 1] where the rays in directions (..., 3) meet their faces.
+    """Return the positions (..., 2) in [0, 1] where rays in directions (..., 3) meet their faces.
 
     The positions are differentiable in the directions.
     """
@@ -45,22 +45,21 @@ def project(direction: Tensor, face: Tensor) -> Tensor:
 
 
 def pad_cube(level: Tensor) -> Tensor:
-    """Extend each face (items, 6, N, N, C) by one texel on each side, from the neighbouring faces: (items, 6, N + 2, N
-    + 2, C).
+    """Extend faces (items, 6, N, N, C) on each side by one texel of the neighbouring face. Return
+    (items, 6, N + 2, N + 2, C).
 
-    Beyond a corner of a face, a cube has no texel. The mean of the three texels that meet at the corner is used
-    instead.
+    The cube has no texel beyond a corner of a face, so the mean of the three texels that meet there is used.
     """
     size = level.shape[2]
     centres = (2 * torch.arange(-1, size + 1, dtype=torch.float64) + 1) / size - 1
     b, a = torch.meshgrid(centres, centres, indexing="ij")
     axes = face_axes(centres)
     s_axis, t_axis, normal = (axes[:, k, None, None, :] for k in range(3))
-    # Beyond an edge of a face, the surface of the cube continues at a right angle, opposite to the face's normal.
+    # Beyond an edge of a face, the cube's surface continues at a right angle, opposite to the face's normal.
     beyond = (a.abs().clamp(min=1) - 1) + (b.abs().clamp(min=1) - 1)
     plane = a.clamp(-1, 1)[..., None] * s_axis + b.clamp(-1, 1)[..., None] * t_axis
     position = plane + (1 - beyond)[..., None] * normal
-    # Positions are shifted slightly, so that a tie between two faces is resolved in favour of the neighbouring face.
+    # A slight shift of the positions resolves ties between two faces in favour of the neighbouring face.
     position = position + 1e-9 * (a.sign() * (a.abs() > 1))[..., None] * s_axis
     position = position + 1e-9 * (b.sign() * (b.abs() > 1))[..., None] * t_axis
     face = face_of(position)

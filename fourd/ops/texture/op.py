@@ -13,8 +13,8 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 
 
 def mip_sizes(height: int, width: int, level_count: int) -> list[tuple[int, int]]:
-    """Return (height, width) of all levels. Each side of a level is half as long as in the previous level, rounded
-    down, but at least one texel long."""
+    """Return (height, width) of all levels. Each level has half the side lengths of the previous one, rounded down, but
+    at least one texel."""
     return [(max(height >> level, 1), max(width >> level, 1)) for level in range(level_count)]
 
 
@@ -23,8 +23,8 @@ def build_mips(tex: Tensor, level_count: int, threads: int) -> list[Tensor]:
     """Compute levels 1 to ``level_count`` - 1 of a float32 texture (B, H, W, C) or (B, 6, H, H, C).
 
     A texel is the mean of 2 x 2 texels of the finer level, or of 2 texels if an axis has only one texel. In all levels
-    except the last, sides longer than 1 texel must be even. This function is not differentiable, because
-    :func:`sample_texture` adds the gradients of the levels to the gradient of ``tex``.
+    except the last, sides longer than 1 texel must be even. The function is not differentiable, because
+    :func:`sample_texture` already adds the gradients of the levels to the gradient of ``tex``.
     """
     mips = _empty_mips(tex, level_count)
     if uses_gpu_kernels(tex):
@@ -54,12 +54,12 @@ def sample_texture(
     is_chain: bool,
     threads: int,
 ) -> Tensor:
-    """Sample a texture. :func:`fourd.raster.triangles.texture` documents the arguments and checks them.
+    """Sample a texture. :func:`fourd.raster.triangles.texture` documents and checks the other arguments.
 
     Args:
         mips: levels 1 and up.
-        is_chain: whether :func:`build_mips` has built ``mips``. If true, the gradients of the mip levels are added to
-            the gradient of ``tex``. If false, each level gets its own gradient.
+        is_chain: True if :func:`build_mips` has built ``mips``, so that the gradients of the mip levels are added to
+            the gradient of ``tex``. If False, each level gets its own gradient.
     """
     out = _empty_picture(tex, uv)
     modes = (filter_mode, boundary_mode)
@@ -103,9 +103,9 @@ def _sample_backward(
     gradient: Tensor,
     needs: Sequence[bool],
 ) -> list[Tensor]:
-    """Compute the gradients of uv, uv_da, bias, tex and the mips. The four bools ``needs`` tell whether the gradients
-    of uv, uv_da, bias and the texture are needed. Gradients that are not needed are empty tensors. If ``is_chain`` is
-    true, the result has no gradients of the mips."""
+    """Compute the gradients of ``uv``, ``uv_da``, ``bias``, ``tex`` and ``mips``. The four bools ``needs`` select the
+    gradients of ``uv``, ``uv_da``, ``bias`` and the texture; the others are empty tensors. If ``is_chain`` is True, the
+    result has no gradients of ``mips``."""
     out = _empty_gradients(tex, mips, uv, uv_da, bias, needs)
     to_levels = [_image(level) for level in out[3:]] if needs[3] else []
     to_pixels = [one.flatten(1, 2) if needed else None for one, needed in zip(out[:3], needs[:3], strict=True)]
@@ -190,8 +190,8 @@ def _threads(threads: int) -> int:
 
 
 def _pixel_rows(uv: Tensor, uv_da: Tensor | None, bias: Tensor | None) -> tuple[Tensor | None, ...]:
-    """Flatten the rows and columns of images. Return contiguous tensors of shape (B, H' * W', channels), or (B, H' *
-    W') for the bias."""
+    """Flatten the rows and columns of images. Return contiguous tensors (B, H' * W', channels), or (B, H' * W') for the
+    bias."""
     return tuple(None if value is None else contiguous(value).flatten(1, 2) for value in (uv, uv_da, bias))
 
 
@@ -216,7 +216,8 @@ def _empty_gradients(
     bias: Tensor | None,
     needs: Sequence[bool],
 ) -> list[Tensor]:
-    """Allocate the gradients of uv, uv_da, bias and all levels. Gradients that are not needed are empty tensors."""
+    """Allocate the gradients of ``uv``, ``uv_da``, ``bias`` and all levels. Gradients that are not needed are empty
+    tensors."""
     wanted = [*zip((uv, uv_da, bias), needs[:3], strict=True), *((level, needs[3]) for level in (tex, *mips))]
     return [
         uv.new_empty(0) if value is None or not needed else value.new_empty(value.shape) for value, needed in wanted

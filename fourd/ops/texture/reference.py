@@ -11,12 +11,11 @@ from torch.nn import functional
 from fourd.ops.texture.cubes import face_axes, face_of, pad_cube, project
 
 MIN_SQUARE = 1e-36
-"""Squared length of the longer axis of a footprint, in squared texels, below which the footprint is treated as a
-point."""
+"""A footprint is treated as a point if the square of its longer axis is below this number of squared texels."""
 
 
 def build_mips_reference(tex: Tensor, level_count: int) -> list[Tensor]:
-    """Compute levels 1 to ``level_count`` - 1 of a texture (..., H, W, C). Differentiable."""
+    """Compute levels 1 to ``level_count`` - 1 of a texture (..., H, W, C). The levels are differentiable."""
     levels = [tex]
     for _ in range(1, level_count):
         fine = levels[-1]
@@ -38,14 +37,14 @@ def sample_texture_reference(
 ) -> Tensor:
     """Compute the result of :func:`fourd.ops.texture.op.sample_texture`, on any device, in float32 or float64.
 
-    ``levels`` has level 0 and all mip levels. The result is differentiable in all tensors.
+    ``levels`` are level 0 and all mip levels. The result is differentiable in all tensors.
     """
     is_cube = boundary_mode == "cube"
     faces = [level if is_cube else level[:, None] for level in levels]
     is_used = uv.isfinite().all(-1, keepdim=True)
     if is_cube:
         is_used = is_used & (uv != 0).any(-1, keepdim=True)
-    # Invalid positions are replaced before any arithmetic, because gradients would otherwise be NaN.
+    # Invalid positions are replaced before any arithmetic, because they would make gradients NaN.
     position = torch.where(is_used, uv, torch.ones_like(uv))
     face = face_of(position) if is_cube else torch.zeros(uv.shape[:-1], dtype=torch.long, device=uv.device)
     st = project(position, face) if is_cube else position
@@ -66,7 +65,8 @@ def sample_texture_reference(
 def _mip_level(
     base: Tensor, position: Tensor, face: Tensor, uv_da: Tensor | None, bias: Tensor | None, count: int
 ) -> Tensor:
-    """Return the clamped mip level (B, H', W'): the base-2 logarithm of the longer axis of a pixel's footprint."""
+    """Return the clamped mip level (B, H', W'), which is the base-2 logarithm of the longer axis of a pixel's
+    footprint."""
     level = torch.zeros(position.shape[:-1], dtype=position.dtype, device=position.device)
     if uv_da is not None:
         derivatives = uv_da.unflatten(-1, (-1, 2))  # (B, H', W', coordinates, 2)
@@ -102,7 +102,7 @@ def _log2_of_longer_axis(derivatives: Tensor) -> Tensor:
 
 
 def _sample_level(faces: Tensor, face: Tensor, st: Tensor, is_nearest: bool, boundary_mode: str) -> Tensor:
-    """Sample one level (items, faces, H, W, C) at all positions (B, H', W', 2): (B, H', W', C)."""
+    """Sample one level (items, faces, H, W, C) at all positions (B, H', W', 2). Return (B, H', W', C)."""
     height, width = faces.shape[2:4]
     s, t = st.unbind(-1)
     if boundary_mode == "wrap":
@@ -126,7 +126,7 @@ def _sample_level(faces: Tensor, face: Tensor, st: Tensor, is_nearest: bool, bou
 
 
 def _pad(faces: Tensor, boundary_mode: str) -> Tensor:
-    """Extend each image by one texel on each side. The boundary mode defines the values of the added texels."""
+    """Extend each image by one texel on each side, with values that the boundary mode defines."""
     if boundary_mode == "cube":
         return pad_cube(faces)
     if boundary_mode == "zero":

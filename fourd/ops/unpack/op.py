@@ -15,13 +15,13 @@ SH_NUMBERS = 48
 def unpack_positions(
     content: NDArray[np.uint8], lower: NDArray[np.float64], step: float, points: int
 ) -> NDArray[np.float32]:
-    """Return the positions (N, 3) of Morton codes.
+    """Decode the positions (N, 3) from Morton codes.
 
     Args:
-        content: (B * N,) differences between successive codes, as B planes of N bytes. The first plane contains the
-            lowest bytes. The differences are added modulo 2^64.
-        lower: (3,) position that the Morton code 0 stands for.
-        step: distance between two positions whose codes differ by 1 on one axis.
+        content: (B * N,) differences between successive codes, as B planes of N bytes, lowest bytes first. The codes
+            are the cumulative sums of the differences modulo 2^64.
+        lower: (3,) position of the Morton code 0.
+        step: distance between adjacent positions along an axis.
         points: N.
 
     Raises:
@@ -43,12 +43,12 @@ def unpack_harmonics(
     """Return ``mean + factors @ basis`` (N, 48), rounded to float16.
 
     Args:
-        content: (2 * K * N,) zigzag-coded factors, the weights of the basis vectors: the low bytes (K, N), then the
-            high bytes (K, N).
+        content: (2 * K * N,) zigzag-coded factors, which are the weights of the basis vectors, as low bytes (K, N)
+            followed by high bytes (K, N).
         basis: (K, 48) basis vectors, already multiplied by the quantization step of the factors.
         mean: (48,) mean coefficients.
         points: N.
-        out: array (N, 48) to write to. If ``out`` is None, an array is allocated.
+        out: array (N, 48) to write to. If None, a new array is allocated.
 
     Raises:
         ImportError: if the native module is not built.
@@ -68,19 +68,19 @@ def unpack_views(
     every_point_has_colours: bool,
     out: tuple[NDArray[np.float16], NDArray[np.uint8]] | None = None,
 ) -> tuple[NDArray[np.float16], NDArray[np.uint8]]:
-    """Return the blend weights (N, V) and the colours (N, V, 3) of V source views.
+    """Decode the blend weights (N, V) and the colours (N, V, 3) for V source views.
 
     Args:
-        contents: for each view, N weight codes, then the colour levels of M points. A level is the quantised difference
-            from the mean colour. The levels are three planes: green, red - green and blue - green, modulo 256. The M
-            points are the points whose weight code is not 0, or all points if ``every_point_has_colours`` is true.
+        contents: for each view, N weight codes, then the colour levels of M points: those whose weight code is not 0,
+            or all points if ``every_point_has_colours`` is True. A level is the quantised difference from the mean
+            colour. The levels are stored as three planes: green, red - green and blue - green, modulo 256.
         mean: (N, 3) mean colours. A colour is the mean colour plus ``colour_step`` times the level, read as a signed
             8-bit number. If ``colour_step`` is 1, the sum is taken modulo 256. If ``colour_step`` is larger, the sum is
             clamped to [0, 255]. Points without levels have the mean colour.
         weights: (256,) blend weight of each code.
         colour_step: quantization step of the signed levels, from 1 to 127.
-        every_point_has_colours: whether all points have colours, so that M = N.
-        out: arrays (N, V) and (N, V, 3) to write to. If ``out`` is None, the arrays are allocated.
+        every_point_has_colours: True if all points have colours, so that M = N.
+        out: arrays (N, V) and (N, V, 3) to write to. If None, new arrays are allocated.
 
     Raises:
         ImportError: if the native module is not built.

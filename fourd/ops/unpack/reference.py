@@ -1,4 +1,4 @@
-"""Slow, simple implementations of :mod:`fourd.ops.unpack.op` in NumPy."""
+"""The functions of :mod:`fourd.ops.unpack.op` in NumPy: slow, but simple."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fourd.ops.morton import gather_bits
 def unpack_positions_reference(
     content: NDArray[np.uint8], lower: NDArray[np.float64], step: float, points: int
 ) -> NDArray[np.float32]:
-    """Return the positions (N, 3) of Morton codes."""
+    """Decode the positions (N, 3) from Morton codes."""
     planes = content.reshape(-1, points).astype(np.uint64)
     shifts = (8 * np.arange(len(planes), dtype=np.uint64))[:, None]
     codes = np.cumsum((planes << shifts).sum(axis=0, dtype=np.uint64), dtype=np.uint64)
@@ -39,7 +39,7 @@ def unpack_views_reference(
     *,
     every_point_has_colours: bool,
 ) -> tuple[NDArray[np.float16], NDArray[np.uint8]]:
-    """Return the blend weights (N, V) and the colours (N, V, 3) of V source views."""
+    """Decode the blend weights (N, V) and the colours (N, V, 3) for V source views."""
     points = len(mean)
     out_weights = np.empty((points, len(contents)), np.float16)
     out_rgb = np.empty((points, len(contents), 3), np.uint8)

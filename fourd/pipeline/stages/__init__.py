@@ -1,2 +1,1 @@
-"""The stages of the pipeline. Each stage has one module, which contains the stage's file paths, settings and work
-function."""
+"""The stages of the pipeline. Each has one module with its file paths, settings and work function."""

@@ -28,8 +28,8 @@ TILT = 12
 
 @dataclass(frozen=True)
 class AdjustFiles:
-    """The folders of the capture and of the run. The adjusted cameras are written to ``calibration/start/`` in the
-    folder of the run."""
+    """The folders of the capture and of the run. The adjusted cameras are written to ``calibration/start/`` in the run
+    folder."""
 
     capture: Path
     run: Path
@@ -75,8 +75,8 @@ def adjust_stage(capture: Path, run: Path, settings: AdjustSettings) -> Stage[Ad
 
 
 def run_adjust(files: AdjustFiles, settings: AdjustSettings, context: Context) -> None:
-    """Bundle-adjust the training cameras from matched features, and write the adjusted cameras. If adjusted cameras
-    already exist, they are kept.
+    """Bundle-adjust the training cameras from matched features, and write them. If adjusted cameras already exist, they
+    are kept.
 
     Held-out cameras are neither used nor changed.
     """
@@ -109,7 +109,8 @@ def _adjust(files: AdjustFiles, settings: AdjustSettings, views: RunViews, conte
 
 
 def _prior(capture: Capture, training: list[int], settings: AdjustSettings) -> Prior:
-    """Prior of the adjustment: for each camera, the expected standard deviations of errors in the given calibration."""
+    """Return the prior of the adjustment: for each camera, the expected standard deviations of errors in the given
+    calibration."""
     given = [capture.cameras[index] for index in training]
     focus = viewing_centre(given)
     distance = np.array([float(np.linalg.norm(camera.centre - focus)) for camera in given])

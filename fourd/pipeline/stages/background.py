@@ -1,4 +1,5 @@
-"""Background: computes the initial points of the static background of a full scene from clean plates."""
+"""Background: computes the initial points of a full scene's static background from clean plates (images of the
+background without the subject)."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ class BackgroundFiles:
 
     Attributes:
         capture: the capture's folder.
-        run: the run's folder. The points are written to ``background/points.ply`` in this folder.
+        run: the run folder. The points are written to ``background/points.ply`` in it.
         seeds: PLY file with background points from the user. If None, the points are computed from the plates.
         adjusted: whether the run has adjusted cameras.
     """
@@ -81,8 +82,7 @@ def background_stage(
 
 
 def run_background(files: BackgroundFiles, settings: BackgroundSettings, context: Context) -> None:
-    """Compute and write the background points. If the file of points already exists, it is kept. Held-out views are not
-    used."""
+    """Compute and write the background points, unless their file already exists. Held-out views are not used."""
     target = files.run / BACKGROUND / POINTS
     if target.exists():
         return
@@ -107,9 +107,9 @@ def run_background(files: BackgroundFiles, settings: BackgroundSettings, context
 
 
 def _log_unstable(shares: dict[str, float], log: Log) -> None:
-    """Warn about cameras whose background changes over time.
+    """Log cameras whose background changes over time.
 
-    ``shares`` maps the name of each camera with a changing background to the share of changing pixels.
+    ``shares`` maps the name of each such camera to the fraction of changing pixels.
     """
     if not shares:
         return
@@ -132,8 +132,8 @@ def _find_points(plates: tuple[PlateView, ...], settings: BackgroundSettings, co
 
 
 def _read_seeds(path: Path, count: int, seed: int) -> ColouredPoints:
-    """Read the points that the user provided. If the file has more than ``count`` points, a uniform random sample is
-    returned."""
+    """Read the points that the user provided. If there are more than ``count``, return a uniform random sample of
+    them."""
     xyz, rgb = read_ply(path)
     if len(xyz) == 0:
         raise UserError(f"{path}: expected points of the background, got none; use another PLY")

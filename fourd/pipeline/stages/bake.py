@@ -27,8 +27,7 @@ class BakeFiles:
 class BakeSettings:
     """Number of points composited per pixel, playback rate in frames per second, and settings for packing the scene.
 
-    If the rate is None, the scene gets the frame rate of the run's capture. If ``pack`` is None, the scene is not
-    packed.
+    If ``fps`` is None, the scene gets the capture's frame rate. If ``pack`` is None, the scene is not packed.
     """
 
     layers: int = BAKED_LAYERS
@@ -41,7 +40,7 @@ def bake_stage(
 ) -> Stage[BakeFiles, BakeSettings]:
     """Create the stage that bakes the newest checkpoint of a run, or of each segment of a run.
 
-    If the frame rate that is stored in ``capture`` changes, the stage runs again. ``after`` contains the names of the
+    The stage runs again if the frame rate that is stored in ``capture`` changes. ``after`` contains the names of the
     stages that train the run.
     """
     inputs = () if capture is None else (Artefact(capture / NAME),)

@@ -1,4 +1,4 @@
-"""Carving: computes the initial points of each frame and the scene's bounds from visual hulls."""
+"""Carving: computes the initial points of each frame, and the scene's bounds, from visual hulls."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ class CarveStageSettings:
     Attributes:
         selection: views and frames. Held-out views are not used.
         points: maximum number of points per frame.
-        agreement: minimum share, in (0, 1], of mattes that must contain a hull point. Views that do not see the point
-            are ignored.
-        least_views: minimum share, in (0, 1], of all views that must see a hull point.
+        agreement: minimum fraction, in (0, 1], of mattes that must contain a hull point. Views that do not see the
+            point are ignored.
+        least_views: minimum fraction, in (0, 1], of all views that must see a hull point.
         trim: whether to remove protruding parts of the hull. The remaining hull still covers all silhouettes.
         inset: distance by which points are moved into the hull, in multiples of the point spacing.
         seed: seed of the random order of the points.
@@ -75,8 +75,8 @@ def carve_stage(capture: Path, hull: Path, settings: CarveStageSettings) -> Stag
 def carve_run_stage(
     capture: Path, run: Path, settings: CarveStageSettings, adjusted: bool
 ) -> Stage[CarveFiles, CarveStageSettings]:
-    """Create the stage that carves ``capture`` for a run. If ``adjusted`` is true, the stage uses the adjusted cameras
-    of the run."""
+    """Create the stage that carves ``capture`` for a run. If ``adjusted`` is true, it uses the run's adjusted
+    cameras."""
     return Stage(
         "carve",
         run_carve,
@@ -90,7 +90,7 @@ def carve_run_stage(
 
 
 def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context) -> None:
-    """Carve every frame. Points that an earlier call has carved with the same settings are kept."""
+    """Carve every frame. Points that an earlier call carved with the same settings are kept."""
     with _open_training_views(files, settings.selection) as capture:
         if not capture.has_masks:
             raise UserError(
@@ -117,8 +117,7 @@ def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context)
 def _require_hull(capture: Capture, settings: CarveStageSettings, context: Context) -> None:
     """Raise UserError if the hulls of a few frames cover less than a third of the mattes' area.
 
-    An empty hull is not an error in this check, because carving later reports an empty hull and names the views that
-    disagree most.
+    An empty hull is not an error here, because carving reports it later and names the views that disagree most.
     """
     quality = measure_mattes(
         capture,
@@ -132,8 +131,8 @@ def _require_hull(capture: Capture, settings: CarveStageSettings, context: Conte
 
 
 def _open_training_views(files: CarveFiles, selection: DataSelection) -> Capture:
-    """Open the capture without the held-out views. Held-out views must not influence the scene, because the scene is
-    evaluated in these views."""
+    """Open the capture without the held-out views, which must not influence the scene because it is evaluated in
+    them."""
     if not selection.test_views and files.run is None:
         views = None if selection.views is None else list(selection.views)
         return _open(files.capture, selection, views)

@@ -34,7 +34,7 @@ def check_stage(capture: Path) -> Stage[CheckFiles, NoSettings]:
 
 
 def run_check(files: CheckFiles, settings: NoSettings, context: Context) -> None:
-    """Index the videos and check all files of the capture. Raises a UserError that describes the first problem."""
+    """Index the videos and check all files of the capture. Raises UserError for the first problem."""
     track = context.track
     index_capture(files.capture, None, track)
     problems = check_capture(files.capture, track=track).problems

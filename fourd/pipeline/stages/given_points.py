@@ -1,4 +1,4 @@
-"""Given points: uses points from the user's FRAME.ply files instead of carved points."""
+"""Given points: takes the initial points from the user's FRAME.ply files instead of carving them."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL
 
 @dataclass(frozen=True)
 class GivenPointFiles:
-    """The folders of the capture, of the user's points and of the run. The points are written to ``hull/`` in the
-    folder of the run."""
+    """The folders of the capture, of the user's points and of the run. The points are written to ``hull/`` in the run
+    folder."""
 
     capture: Path
     source: Path
@@ -40,7 +40,7 @@ class GivenPointSettings:
 def given_points_stage(
     capture: Path, source: Path, run: Path, settings: GivenPointSettings
 ) -> Stage[GivenPointFiles, GivenPointSettings]:
-    """Create the stage that copies the points in the folder ``source`` to a run as initial points."""
+    """Create the stage that copies the points in the folder ``source`` to a run, as its initial points."""
     return Stage(
         "points",
         run_given_points,
@@ -54,8 +54,8 @@ def given_points_stage(
 
 
 def run_given_points(files: GivenPointFiles, settings: GivenPointSettings, context: Context) -> None:
-    """Copy a uniform random sample of each frame's points. Also write the bounds of the points of all frames, extended
-    by 5%."""
+    """Copy a uniform random sample of each frame's points, and write the bounds of all frames' points, extended by
+    5%."""
     with open_run_views(files.capture, settings.selection) as views:
         capture = views.capture
     rng = np.random.default_rng(settings.seed)

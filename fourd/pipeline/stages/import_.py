@@ -1,5 +1,4 @@
-"""Import: converts videos or images to a capture. The input may contain a calibration that another program has
-computed."""
+"""Import: converts videos or images, with another program's calibration or without one, to a capture."""
 
 from __future__ import annotations
 

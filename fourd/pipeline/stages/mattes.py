@@ -17,13 +17,13 @@ from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 
 QUALITY = DERIVED / "matte_quality.json"
-"""JSON file with three numbers for each measured frame and camera, which compare the matte with visual hulls; see
+"""JSON file with three numbers for each measured frame and camera, which compare its matte with visual hulls; see
 ``fourd.carving.matte_quality.MatteQuality``."""
 
 
 @dataclass(frozen=True)
 class MatteFiles:
-    """The capture's folder. The mattes are written to ``.fourd/mattes/`` in this folder."""
+    """The capture folder. The mattes are written to ``.fourd/mattes/`` in it."""
 
     capture: Path
 
@@ -38,8 +38,7 @@ class MatteStageSettings:
 
 
 def mattes_stage(capture: Path, settings: MatteStageSettings) -> Stage[MatteFiles, MatteStageSettings]:
-    """Create the stage that makes mattes for ``capture``. The capture must not contain masks that the user provided in
-    masks/."""
+    """Create the stage that makes mattes for ``capture``, which must not contain masks from the user in masks/."""
     return Stage(
         "mattes",
         run_mattes,
@@ -51,7 +50,7 @@ def mattes_stage(capture: Path, settings: MatteStageSettings) -> Stage[MatteFile
 
 
 def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context) -> None:
-    """Make the missing mattes, and then the contact sheet. Mattes of an earlier call with the same settings are
+    """Make the missing mattes, and then the contact sheet. Mattes that an earlier call made with the same settings are
     kept."""
     selection = Selection(files.capture, settings.views, settings.frames)
     index_capture(files.capture, settings.views, context.track)
@@ -66,8 +65,8 @@ def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context
 
 
 def write_quality(capture: Capture, context: Context) -> None:
-    """Compare the mattes of a few frames with visual hulls, and write the results to QUALITY. Report mattes of which
-    the visual hull of the other views covers only a small share."""
+    """Compare the mattes of a few frames with visual hulls, and write the results to QUALITY. Log mattes of which the
+    other views' visual hull covers only a small fraction."""
     quality = measure_mattes(capture, track=context.track)
     if quality is None:
         return

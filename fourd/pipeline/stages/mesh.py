@@ -60,8 +60,8 @@ class MeshScore:
         camera: name of the camera.
         frame: number of the frame.
         iou: intersection over union of the mesh's silhouette and the matte.
-        psnr: PSNR in dB inside the matte's bounding box; None if the matte is empty. The rendered mesh and the masked
-            image both have a black background.
+        psnr: PSNR in dB of the rendered mesh against the masked image, both on black, inside the matte's bounding box;
+            None if the matte is empty.
     """
 
     camera: str
@@ -83,7 +83,7 @@ def mesh_stage(files: MeshFiles, settings: MeshStageSettings) -> Stage[MeshFiles
 
 
 def run_mesh(files: MeshFiles, settings: MeshStageSettings, context: Context) -> None:
-    """Make the mesh of every frame. Meshes that an earlier call has made with the same settings are kept."""
+    """Make the mesh of every frame. Meshes that an earlier call made with the same settings are kept."""
     whole, training, test = _open_views(files, settings.selection)
     with whole, training:
         paths = mesh_capture(training, files.meshes, settings.mesh, context.track)
@@ -121,7 +121,7 @@ class MeanScore:
 
 
 def mean_score(scores: Sequence[MeshScore]) -> MeanScore:
-    """Mean of the scores of one or more images."""
+    """Return the mean of the scores of one or more images."""
     decibels = [score.psnr for score in scores if score.psnr is not None]
     return MeanScore(float(np.mean([score.iou for score in scores])), float(np.mean(decibels)) if decibels else None)
 
@@ -146,7 +146,7 @@ def _number(value: object) -> float:
 
 
 def _open_views(files: MeshFiles, selection: DataSelection) -> tuple[Capture, Capture, list[int]]:
-    """Open the capture. Return the whole capture, the capture without held-out views, and the indices of the held-out
+    """Open the capture. Returns the whole capture, the capture without held-out views, and the indices of the held-out
     cameras in the whole capture."""
     if selection.views is not None and len(selection.views) < 2:
         raise UserError(f"--views: expected at least 2 views, got {len(selection.views)}; choose more views")
@@ -164,7 +164,7 @@ def _open_views(files: MeshFiles, selection: DataSelection) -> tuple[Capture, Ca
 
 
 def _with_run_cameras(capture: Capture, run: Path) -> Capture:
-    """The capture with the newest cameras of a run. Training may have refined these cameras."""
+    """Return the capture with the newest cameras of a run, which training may have refined."""
     with load_run(run).run as opened:
         refined = opened.capture
     known = dict(zip(refined.names, refined.cameras, strict=True))

@@ -1,4 +1,4 @@
-"""Plates: computes, for each camera, an image of the background without the subject, from images and mattes."""
+"""Plates: computes an image of the background without the subject for each camera, from images and mattes."""
 
 from __future__ import annotations
 
@@ -20,21 +20,20 @@ from fourd.training.run_layout import BACKGROUND, PLATES, POINTS
 MATTE_PATTERNS = (".fourd/mattes/*/*",)
 PLATE_PATTERNS = (f"{USER_FOLDER}/*", f"{CAPTURE_PLATES.as_posix()}/*")
 RUN_KEY = "run"
-"""Constant cache key of the plates in a run folder. The cache key of the plates in a capture folder depends on the
-settings of the mattes."""
+"""Constant cache key of the plates in a run folder. (In a capture folder, the key depends on the settings of the
+mattes.)"""
 
 
 @dataclass(frozen=True)
 class RunPlateFiles:
-    """The folders of the capture and of the run. The plates are written to ``background/plates/`` in the folder of the
-    run."""
+    """The folders of the capture and of the run. The plates are written to ``background/plates/`` in the run folder."""
 
     capture: Path
     run: Path
 
 
 def capture_plates_stage(capture: Path, settings: MatteStageSettings) -> Stage[MatteFiles, MatteStageSettings]:
-    """Create the stage that makes the plates of ``capture`` in the capture's subfolder ``.fourd/plates``."""
+    """Create the stage that makes the plates of ``capture`` in its subfolder ``.fourd/plates``."""
     return Stage(
         "plates",
         make_capture_plates,
@@ -56,8 +55,8 @@ def make_capture_plates(files: MatteFiles, settings: MatteStageSettings, context
 
 
 def run_plates_stage(capture: Path, run: Path, selection: DataSelection) -> Stage[RunPlateFiles, DataSelection]:
-    """Create the stage that makes plates for the training views of a run. The stage makes no plates if the capture has
-    a plate for each training view."""
+    """Create the stage that makes plates for the training views of a run, unless the capture has a plate for each of
+    them."""
     return Stage(
         "plates",
         make_run_plates,
@@ -70,8 +69,8 @@ def run_plates_stage(capture: Path, run: Path, selection: DataSelection) -> Stag
 
 
 def make_run_plates(files: RunPlateFiles, selection: DataSelection, context: Context) -> None:
-    """If a training view has no plate in the capture, make clean plates of all training views. Otherwise, do nothing.
-    Held-out views are not used."""
+    """Make clean plates for all training views, unless the capture has a plate for each of them. Held-out views are not
+    used."""
     folder = files.run / BACKGROUND
     folder.mkdir(parents=True, exist_ok=True)
     with open_run_views(files.capture, selection) as views:

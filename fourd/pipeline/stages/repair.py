@@ -1,8 +1,8 @@
-"""Repair: corrects a calibration with large residuals. A residual is the distance of a feature match from its epipolar
-line. A correction is used only if it reduces the residuals of held-out matches.
+"""Repair: corrects a calibration with large residuals (distances of feature matches from their epipolar lines). A
+correction is used only if it reduces the residuals of held-out matches.
 
-The given capture is not changed. The corrected capture is a new folder, with links to the files of the given capture
-and with corrected calibration files.
+The given capture is not changed. The corrected capture is a new folder with links to its files and with corrected
+calibration files.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from fourd.sync.lateness import find_late_cameras
 
 RESULT = "repair.json"
 MAX_MEDIAN_PX = 1.0
-"""Maximum median residual in pixels. If the median is larger, corrections of the calibration are tried."""
+"""Median residual in pixels above which corrections of the calibration are tried."""
 MIN_SHARE = 0.5
-"""Minimum share of the feature matches that are within 3 pixels of their epipolar lines. If the share is smaller,
-corrections of the calibration are tried."""
+"""Fraction of the feature matches within 3 pixels of their epipolar lines below which corrections of the calibration
+are tried."""
 
 
 @dataclass(frozen=True)
 class RepairFiles:
-    """The given capture, and the new folder, which gets the corrected capture and repair.json."""
+    """The given capture, and the new folder for the corrected capture and repair.json."""
 
     capture: Path
     repaired: Path
@@ -53,9 +53,9 @@ def repair_stage(capture: Path, repaired: Path) -> Stage[RepairFiles, NoSettings
 
 
 def repaired_capture(capture: Path, repaired: Path) -> Path:
-    """The corrected capture if :func:`run_repair` wrote one, otherwise ``capture``.
+    """Return the corrected capture if :func:`run_repair` wrote one, otherwise ``capture``.
 
-    Raises UserError if the file with the result of the repair is missing or invalid.
+    Raises UserError if repair.json is missing or invalid.
     """
     path = repaired / RESULT
     try:
@@ -69,8 +69,8 @@ def repaired_capture(capture: Path, repaired: Path) -> Path:
 
 
 def run_repair(files: RepairFiles, settings: NoSettings, context: Context) -> None:
-    """Match features between the images. If the residuals are large and a correction reduces them, write a corrected
-    capture.
+    """Match features between the images, and write a corrected capture if the residuals are large and a correction
+    reduces them.
 
     Warnings are logged for cameras whose videos start late, and for mattes that do not belong to the images.
 
@@ -95,7 +95,8 @@ def run_repair(files: RepairFiles, settings: NoSettings, context: Context) -> No
     else:
         log(f"calibration: {score} of their epipolar lines; trying corrections")
         repair = repair_cameras(found.cameras, found.matches)
-        # If most residuals remain large after a correction, the calibration probably belongs to other cameras.
+        # The correction is discarded if most residuals remain large, because the calibration then probably belongs to
+        # other cameras.
         is_changed = repair.is_changed and not is_disagreeing(repair.after)
         for trial in repair.trials:
             kept = "kept" if trial.is_kept else "not kept"

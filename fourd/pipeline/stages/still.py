@@ -1,8 +1,8 @@
-"""Still scenes: scenes that consist only of a background. The source is one frame, or a recording in which nothing
+"""Still scenes: scenes that consist only of a background, made from one frame or from a recording in which nothing
 moves.
 
-The given capture is not changed. A new folder gets links to the capture's files, and empty mattes. With empty mattes,
-each image is the clean plate of its camera. The run gets frames that have no foreground points.
+The given capture is not changed. A new folder gets links to its files, and empty mattes, so that each image is the
+clean plate of its camera. The frames of the run have no foreground points.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL
 
 DONE = "still.json"
 BOUNDS_SHARE = 0.25
-"""Half the side length of the scene's bounds, as a share of the mean distance between the cameras and the point that
-they face."""
+"""Half the side length of the scene's bounds, as a fraction of the cameras' mean distance to the point that they
+face."""
 
 
 @dataclass(frozen=True)
 class StillFiles:
-    """The folder of the capture, and the folder that gets the capture with empty mattes."""
+    """The folder of the given capture, and the new folder for the capture with empty mattes."""
 
     capture: Path
     still: Path
@@ -42,8 +42,8 @@ class StillFiles:
 
 @dataclass(frozen=True)
 class NoPointFiles:
-    """The folder of the capture with empty mattes, and the folder of the run. The stage writes ``hull/`` with empty
-    point files to the folder of the run."""
+    """The folders of the capture with empty mattes and of the run. Empty point files are written to ``hull/`` in the
+    run folder."""
 
     capture: Path
     run: Path

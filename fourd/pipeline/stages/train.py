@@ -31,8 +31,8 @@ PREPARED_BY = ("adjust", "carve", "points", "background")
 
 @dataclass(frozen=True)
 class TrainFiles:
-    """The folders of the capture and of the run, and the path of the LPIPS weights. If the path of the weights is None,
-    the default locations are searched; see :func:`load_lpips`."""
+    """The folders of the capture and of the run, and the path of the LPIPS weights. If this path is None, the default
+    locations are searched; see :func:`load_lpips`."""
 
     capture: Path
     run: Path
@@ -54,7 +54,7 @@ def train_stage(files: TrainFiles, config: TrainConfig) -> Stage[TrainFiles, Tra
 
 
 def run_train(files: TrainFiles, config: TrainConfig, context: Context) -> None:
-    """Start the run, or resume the run from its newest checkpoint. For a resumed run, only the budget may change."""
+    """Start the run, or resume it from its newest checkpoint. Only the budget of a resumed run may change."""
     group = context.group or ALONE
     if group.is_first and not (files.run / CONFIG_NAME).exists():
         start_run(files.capture, files.run, config).capture.close()
@@ -63,8 +63,8 @@ def run_train(files: TrainFiles, config: TrainConfig, context: Context) -> None:
 
 
 def train_run(folder: Path, lpips_weights: Path | None, config: TrainConfig, context: Context) -> None:
-    """Train an existing run until the budget of ``config`` is spent. Training starts from the run's newest checkpoint,
-    if the run has checkpoints. All ranks call this function."""
+    """Train an existing run until the budget of ``config`` is spent, starting from its newest checkpoint if it has one.
+    All ranks call this function."""
     lpips, group = load_lpips(lpips_weights), context.group or ALONE
     if lpips is None:
         context.log("LPIPS: no weights found; the loss uses 1 - SSIM instead (name the weights with --lpips-weights)")
@@ -86,7 +86,7 @@ def train_run(folder: Path, lpips_weights: Path | None, config: TrainConfig, con
 
 
 def _training_device(context: Context) -> torch.device:
-    """The device that trains. The choice is logged, unless there is no GPU."""
+    """Choose the device that trains. The choice is logged, unless there is no GPU."""
     device = choose_device(context.device)
     if device.type == "cuda":
         context.log(f"device: training on {torch.cuda.get_device_name(device)}")

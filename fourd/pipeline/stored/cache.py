@@ -31,14 +31,14 @@ from fourd.training.run_layout import SCRATCH
 CACHE_VARIABLE = "FOURD_CACHE"
 """Environment variable with the folder of local copies on this machine."""
 OWN = ".stored"
-"""Folder with the records of the local copy: manifests of the stages whose files were copied or published, and marks of
-started stages."""
+"""Folder with the records of the local copy: manifests of the stages whose files were copied or published, and marks
+(files) of started stages."""
 
 
 @dataclass(frozen=True)
 class Started:
-    """The mark of a stage that was started on this machine. The mark contains the stage's key, the stage's field
-    ``leftovers``, and the states of all files before the start."""
+    """The mark of a stage that was started on this machine: the stage's key, its field ``leftovers``, and the states of
+    all files before the start."""
 
     key: str
     before: Mapping[str, str]
@@ -46,7 +46,7 @@ class Started:
 
 
 def cache_folder(url: StorageUrl) -> Path:
-    """The folder of the local copy of ``url`` on this machine."""
+    """Return the folder of the local copy of ``url`` on this machine."""
     given = os.environ.get(CACHE_VARIABLE)
     parent = Path(given) if given else platformdirs.user_cache_path("fourd")
     return resolved(parent / "work" / f"{url.name}-{hashlib.sha256(str(url).encode()).hexdigest()[:16]}")
@@ -60,11 +60,12 @@ class Cache:
     root: Path
 
     def locked(self) -> AbstractContextManager[None]:
-        """Context manager: while its block runs, no other process copies files into this folder."""
+        """Return a context manager that prevents other processes from copying files into this folder."""
         return locked_file(self.root / OWN / "lock")
 
     def started(self, name: str) -> Started | None:
-        """The mark of a stage that was started on this machine and has not published its results, or None."""
+        """Return the mark of a stage if it was started on this machine and has not published its results, otherwise
+        None."""
         try:
             values = read_json(self._mark(name))
             leftovers = tuple(Leftovers(self.root / folder, tuple(keep)) for folder, keep in values["leftovers"])
@@ -85,13 +86,12 @@ class Cache:
         self._mark(manifest.name).unlink(missing_ok=True)
 
     def forget(self, name: str) -> None:
-        """Remove the record of a manifest. Its files stay."""
+        """Remove the record of a manifest, but keep the files."""
         self._copy(name).unlink(missing_ok=True)
 
     def own_paths(self, name: str, folders: Sequence[Path]) -> set[str]:
-        """Find a stage's files and links in ``folders``, and return their paths. Either the stage wrote these files in
-        earlier executions on this machine, or they were copied to this machine because the stage's manifest lists
-        them."""
+        """Return the paths of a stage's files and links in ``folders``: those that earlier executions on this machine
+        wrote, or those that were copied to this machine because the stage's manifest lists them."""
         started = self.started(name)
         if started is None:
             return self._copied(name)
@@ -112,9 +112,9 @@ class Cache:
         return found
 
     def copy(self, store: WorkStore, manifests: Sequence[Manifest], track: Track) -> None:
-        """Copy each file that ``manifests`` list, if the file is missing on this machine or has changed. If several
-        manifests contain a path, the file of the last manifest is copied. Local files that are no longer in a stage's
-        manifest are removed."""
+        """Copy each file that ``manifests`` list and that is missing on this machine or has changed. If several
+        manifests contain a path, the last one is used. Local files that are no longer in a stage's manifest are
+        removed."""
         wanted = {path: manifest for manifest in manifests for path in (*manifest.files, *manifest.links)}
         for manifest in manifests:
             self._remove_old(manifest.name, wanted.keys())
@@ -147,8 +147,8 @@ class Cache:
             name: name of the manifest.
             key: key of the stage.
             paths: paths of the files and links.
-            copies: folder with copies of the files, which are uploaded instead of the files. If None, the files
-                themselves are uploaded.
+            copies: folder with copies of the files, which are uploaded instead. If None, the files themselves are
+                uploaded.
             track: reports progress.
 
         Returns: the manifest.
@@ -165,8 +165,7 @@ class Cache:
 
     @contextmanager
     def copies(self, name: str) -> Iterator[Path]:
-        """Yield an empty folder for copies of the files of a stage that is running on this machine. The folder is
-        removed afterwards."""
+        """Yield an empty folder for copies of a running stage's files, and remove it afterwards."""
         folder = self._copies(name)
         shutil.rmtree(folder, ignore_errors=True)
         try:
@@ -177,8 +176,8 @@ class Cache:
 
     @contextmanager
     def _portable_configs(self, local: Mapping[str, Path]) -> Iterator[dict[str, Path]]:
-        """Yield the file to upload for each path. In the uploaded config of a run, the path of the capture is relative
-        to the folder ``root``."""
+        """Yield the file to upload for each path. Run configs are replaced by copies in which the path of the capture
+        is relative to the folder ``root``."""
         with tempfile.TemporaryDirectory(prefix="fourd-") as folder:
             sent = dict(local)
             for number, path in enumerate(filter(is_config, local)):
@@ -188,7 +187,7 @@ class Cache:
             yield sent
 
     def _portable(self, path: Path) -> str:
-        """The path relative to the folder ``root``, or the unchanged path if it is outside of this folder."""
+        """Return the path relative to the folder ``root``, or the unchanged path if it is outside."""
         return path.relative_to(self.root).as_posix() if path.is_relative_to(self.root) else str(path)
 
     def _state(self, path: str) -> str:
@@ -202,7 +201,7 @@ class Cache:
         return file_state(path, status.st_size, status.st_mtime_ns)
 
     def _target(self, path: str) -> Path:
-        """The local path of a file to be written. A link or a folder at this path is removed."""
+        """Return the local path of a file to be written, and remove any file, link or folder at this path."""
         target = self.root / path
         if self._is_behind_link(path):
             raise UserError(f"{target}: expected a folder in the local copy, got a link; delete {self.root}")
@@ -229,7 +228,7 @@ class Cache:
             self._mark(name).unlink(missing_ok=True)
 
     def _remove_old(self, name: str, wanted: Set[str]) -> None:
-        """Remove files of an older manifest, and files of an execution that was not finished on this machine."""
+        """Remove files of an older manifest, and files of an execution that did not finish on this machine."""
         started = self.started(name)
         for leftovers in started.leftovers if started is not None else ():
             leftovers.remove()
@@ -243,7 +242,7 @@ class Cache:
                         (self.root / parent).rmdir()
 
     def _copied(self, name: str) -> set[str]:
-        """Paths of a stage's files and links that were copied to this machine or published from this machine."""
+        """Return the paths of a stage's files and links that were copied to this machine or published from it."""
         try:
             manifest = read_json(self._copy(name))
             return {*manifest["files"], *manifest["links"]}
@@ -251,7 +250,7 @@ class Cache:
             return set()
 
     def _is_behind_link(self, path: str) -> bool:
-        """Whether a parent folder of a path is a symbolic link, so that the file belongs to another folder."""
+        """Return True if a parent folder of a path is a symbolic link, so that the file belongs to another folder."""
         return any((self.root / parent).is_symlink() for parent in Path(path).parents)
 
     def _mark(self, name: str) -> Path:

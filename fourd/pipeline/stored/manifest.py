@@ -15,8 +15,8 @@ from fourd.training.run_layout import CONFIG_NAME
 
 VERSION = 1
 LINKED = ("capture", "repaired", "still")
-"""The only folders in which a manifest may list symbolic links. Stages write files to all other folders, so links in
-those folders are refused."""
+"""The only folders in which a manifest may list symbolic links. Links in other folders are refused, because stages
+write files to them."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class Manifest:
         attempt: name of the folder with the objects. Each execution of the stage has its own folder, so that objects
             never change.
         files: maps the path of each file, relative to the folder for intermediate results, to its size and time.
-        links: maps the path of each symbolic link to its target. The target is an absolute path, or a path relative to
-            the folder for intermediate results.
+        links: maps the path of each symbolic link to its target, as an absolute path or relative to the folder for
+            intermediate results.
     """
 
     name: str
@@ -62,24 +62,24 @@ class Manifest:
         )
 
     def states(self) -> dict[str, str]:
-        """The state of each file and link, by path; see :func:`file_state`."""
+        """Return the state of each file and link by path; see :func:`file_state`."""
         states = {path: file_state(path, entry.size, entry.changed_ns) for path, entry in self.files.items()}
         return {**states, **{path: link_state(target) for path, target in self.links.items()}}
 
 
 def file_state(path: str, size: int, changed_ns: int) -> str:
-    """A text that changes when a file changes. For the config of a run, the text leaves out the file size: the config
-    contains the path of the capture, so its size differs between machines."""
+    """Return a text that changes when a file changes. For the config of a run, it leaves out the file size, which
+    differs between machines because the config contains the path of the capture."""
     return f"{0 if is_config(path) else size} {changed_ns}"
 
 
 def link_state(target: str) -> str:
-    """A text that changes when a symbolic link changes."""
+    """Return a text that changes when a symbolic link changes."""
     return f"-> {target}"
 
 
 def is_config(path: str) -> bool:
-    """Whether a file is the config of a run."""
+    """Return True if a file is the config of a run."""
     return posixpath.basename(path) == CONFIG_NAME
 
 
@@ -104,7 +104,7 @@ def parse_manifest(content: bytes, url: StorageUrl) -> Manifest:
 
 
 def _is_link(item: tuple[str, str]) -> bool:
-    """Whether the item (a path and a target) describes a symbolic link that a stage may make."""
+    """Return True if the item (a path and a target) describes a symbolic link that a stage may make."""
     path, target = item
     parts = PurePosixPath(path).parts
     inside = is_file_name(path) and len(parts) > 1 and parts[0] in LINKED and DERIVED.name not in parts

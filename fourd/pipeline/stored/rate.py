@@ -12,7 +12,7 @@ from fourd.pipeline.stage import Context, Stage
 
 @dataclass(frozen=True)
 class RateFiles:
-    """The folder of the capture, to which capture.json is written."""
+    """The capture folder, to which capture.json is written."""
 
     capture: Path
 

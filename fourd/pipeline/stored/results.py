@@ -1,4 +1,4 @@
-"""Finished stages whose results are in an object store. The process that starts the stages uses this module."""
+"""Keeps track of the stages whose results are in an object store, in the process that starts the stages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Execute = Callable[[Sequence[AnyStage], Context], Iterator[AnyStage]]
 
 
 class StoredResults:
-    """The results of stages in an object store. The methods find finished stages, run stages and copy their results."""
+    """Finds finished stages in an object store, runs stages, and copies their results to this machine."""
 
     def __init__(self, url: StorageUrl, source: Location, context: Context) -> None:
         """Read the manifests at ``url``.
@@ -39,18 +39,18 @@ class StoredResults:
 
     @property
     def root(self) -> Path:
-        """The folder of the local copy. Stages read and write paths in this folder."""
+        """The folder of the local copy, in which stages read and write their files."""
         return self._cache.root
 
     def source(self) -> Path:
-        """Return the local path of the source. A source at a URL is first copied to this machine."""
+        """Return the local path of the source. If it is at a URL, first copy it to this machine."""
         if isinstance(self._source, Path):
             return self._source
         return fetch_source(self._source, self.root, self._context.track)
 
     def is_finished(self, stage: AnyStage, key: str) -> bool:
-        """Whether the results of ``stage`` for the key ``key`` are complete. Call this method for the stages in the
-        order in which they run."""
+        """Return True if the results of ``stage`` for the key ``key`` are complete. Call this method for the stages in
+        the order in which they run."""
         self._stages[stage.name], self._keys[stage.name] = stage, key
         manifest = self._manifests.get(stage.name)
         outside = [path for path in stage.outputs if not path.is_relative_to(self.root)]
@@ -94,8 +94,8 @@ class StoredResults:
         return unit_stage(UnitFiles(stage, self.root, self._store, self._source, needs), self._keys[stage.name])
 
     def _needed(self, stage: AnyStage) -> set[str]:
-        """Names of the earlier stages whose results a stage reads. These are the earlier stages that are not parallel,
-        and the stages that ``after`` names directly or indirectly."""
+        """Return the names of the earlier stages whose results a stage reads: those that are not parallel, and those
+        that ``after`` names directly or indirectly."""
         names, found = list(stage.after), set[str]()
         while names:
             name = names.pop()

@@ -1,8 +1,7 @@
-"""Uploads of a stage that is still running. If the machine of the stage is lost, another machine continues from the
-last upload.
+"""Uploads the files of a stage while it is still running, so that another machine can continue from the last upload if
+the stage's machine is lost.
 
-The files are published with their own manifest. The name of this manifest is the name of the stage, followed by
-``SUFFIX``.
+The files are published with their own manifest, whose name is the name of the stage followed by ``SUFFIX``.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ class Unfinished:
 
     Attributes:
         store: the folder for intermediate results.
-        cache: the local copy of the folder. The stage writes its files there.
+        cache: the local copy of the folder, in which the stage writes its files.
         name: name of the stage.
         key: key of the stage.
         seconds: time between two uploads.
@@ -64,8 +63,8 @@ class Unfinished:
 
     @contextmanager
     def uploaded(self, written: Callable[[], States], log: Log) -> Iterator[None]:
-        """Context manager: while its block runs, a thread uploads the files of the stage whenever there are new
-        checkpoints. A failed upload is reported, and the stage continues.
+        """Upload the files of the stage in a thread whenever there are new checkpoints, until the ``with`` block ends.
+        A failed upload is reported, and the stage continues.
 
         Args:
             written: returns the states of the files that the stage has written so far.
@@ -89,8 +88,8 @@ class Unfinished:
             self.store.remove(manifest)
 
     def _upload(self, states: States, log: Log) -> bool:
-        """Upload copies of the files, because the stage can change its files during the upload. Returns whether the
-        upload succeeded."""
+        """Upload copies of the files, because the stage can change them during the upload. Returns True if the upload
+        succeeded."""
         try:
             with self.cache.copies(self.name) as folder:
                 for path in states:
@@ -99,7 +98,7 @@ class Unfinished:
                         shutil.copy2(self.cache.root / path, folder / path)
                 self.cache.publish(self.store, self.name + SUFFIX, self.key, list(states), copies=folder)
         except FileNotFoundError:
-            # The stage has replaced a checkpoint during the copying. The next upload contains the new checkpoint.
+            # The stage has replaced a checkpoint during the copying. The next upload will contain the new one.
             return False
         except (OSError, UserError) as error:
             log(f"{self.name}: the checkpoints were not uploaded: {error}")
@@ -108,6 +107,6 @@ class Unfinished:
 
 
 def _checkpoints(states: States) -> dict[str, str]:
-    """The states of the files that mark complete checkpoints. They are directly in a folder of checkpoints, and are
-    written after all other files of their checkpoint."""
+    """Return the states of the files that mark complete checkpoints. These files are directly in a checkpoint folder,
+    and are written after all other files of their checkpoint."""
     return {path: state for path, state in states.items() if PurePosixPath(path).parent.name == CHECKPOINTS}

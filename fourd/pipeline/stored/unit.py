@@ -31,8 +31,7 @@ class UnitFiles:
         stage: the stage, with paths of the machine that created it.
         root: the folder of the local copy on the machine that created the stage.
         store: the folder for intermediate results.
-        source: the URL and the version of the source, if the source is in an object store. Otherwise, the path of the
-            source, which all nodes must be able to read.
+        source: the URL and the version of a source in an object store, or the path of a source that all nodes can read.
         needs: name and key of each stage whose results the stage reads.
     """
 
@@ -60,8 +59,8 @@ def unit_stage(files: UnitFiles, key: str) -> Stage[UnitFiles, UnitSettings]:
 def run_unit(files: UnitFiles, settings: UnitSettings, context: Context) -> None:
     """Copy the results that the stage reads, execute the stage, and publish its results.
 
-    If an earlier call on this machine was interrupted, the stage resumes from the files of the interrupted call. If an
-    earlier call was interrupted on another machine, the stage resumes from the checkpoints that the call uploaded.
+    If an earlier call was interrupted, the stage resumes from its files if it ran on this machine, or from the
+    checkpoints that it uploaded if it ran on another machine.
     """
     if isinstance(files.source, Path) and not files.source.exists():
         raise UserError(
@@ -79,7 +78,7 @@ def run_unit(files: UnitFiles, settings: UnitSettings, context: Context) -> None
     given = {path: state for need in needs for path, state in need.states().items()}
 
     def written() -> dict[str, str]:
-        """States of the files that the stage has written."""
+        """Return the states of the files that the stage has written."""
         states = cache.states(_folders(stage, cache.root))
         return {path: at for path, at in states.items() if at not in (started.before.get(path), given.get(path))}
 
@@ -104,8 +103,8 @@ def fetch_source(source: FetchSettings, root: Path, track: Track) -> Path:
 
 
 def moved(value: Any, old: Path, new: Path) -> Any:
-    """Return a copy of ``value`` in which paths in the folder ``old`` are replaced by paths in the folder ``new``.
-    Paths in dataclasses and tuples are also replaced."""
+    """Return a copy of ``value`` in which paths in the folder ``old`` are moved to the folder ``new``, also inside
+    dataclasses and tuples."""
     if isinstance(value, Path):
         return new / value.relative_to(old) if value.is_relative_to(old) else value
     if isinstance(value, tuple):
@@ -134,16 +133,15 @@ def _prepare(
         for leftovers in stage.leftovers:
             leftovers.remove()
     if not stage.is_parallel:
-        # A stage that is not parallel may read whole folders, so files that were made with other settings are removed
-        # from the folders.
+        # Files that were made with other settings are removed, because a stage that is not parallel may read whole
+        # folders.
         cache.remove_others({stage.name, *(need.name for need in needs)})
     if isinstance(files.source, FetchSettings):
         fetch_source(files.source, cache.root, track)
     cache.copy(files.store, needs, track)
     if started is None:
-        # ``before`` must not contain files of the stage itself, because unchanged files in ``before`` are not
-        # published. Files of the stage are those of its earlier executions, and those that it uploaded from another
-        # machine.
+        # ``before`` must not contain the stage's own files, because files that are unchanged since then are not
+        # published. They are the files of its earlier executions, and those that it uploaded from another machine.
         uploaded = unfinished.fetch(context.log, track) if unfinished is not None else None
         own |= set(uploaded.states()) if uploaded is not None else set()
         before = {path: state for path, state in cache.states(folders).items() if path not in own}
@@ -153,8 +151,8 @@ def _prepare(
 
 
 def _folders(stage: AnyStage, root: Path) -> list[Path]:
-    """The folders into which a stage writes. A parallel stage writes only to the folders of its ``leftovers``, because
-    other stages may write to the rest of ``root`` at the same time."""
+    """Return the folders into which a stage writes. A parallel stage writes only to the folders of its ``leftovers``,
+    because other stages may write to the rest of ``root`` at the same time."""
     return [leftovers.folder for leftovers in stage.leftovers] if stage.is_parallel else [root]
 
 

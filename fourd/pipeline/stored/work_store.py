@@ -1,8 +1,8 @@
-"""The objects of a folder for intermediate results: manifests, and the files of each execution of a stage.
+"""The objects of a folder for intermediate results: the manifests of stages, and the files of each of their executions.
 
 ``work.json`` marks the folder, ``units/STAGE.json`` is the manifest of a stage, and ``units/STAGE/ATTEMPT/`` has the
-files of one execution. The objects that an execution has uploaded are never replaced. A reader therefore gets the files
-of a single execution, and an interrupted upload does not damage the files of the previous execution.
+files of one execution. The objects of an execution are never replaced, so that a reader gets the files of a single
+execution, and an interrupted upload does not damage the files of the previous one.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class WorkStore:
 
 
 def new_attempt() -> str:
-    """A new random name for the folder with the files of one execution."""
+    """Return a new random name for the folder with the files of one execution."""
     return secrets.token_hex(8)
 
 

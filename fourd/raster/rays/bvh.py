@@ -1,4 +1,4 @@
-"""Bounding volume hierarchies over triangles: :class:`Bvh`."""
+"""Bounding volume hierarchies of triangles: :class:`Bvh`."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from fourd.ops.rays.op import build_tree, refit_tree, tree_cost
 
 @dataclass(frozen=True)
 class Bvh:
-    """A tree of boxes over the triangles of a mesh, for :func:`~fourd.raster.rays.tracing.trace`.
+    """A bounding volume hierarchy of a mesh's triangles, for :func:`~fourd.raster.rays.tracing.trace`.
 
-    :meth:`build` creates a tree. Trees are immutable, so :meth:`refit` and :meth:`update` return new trees.
+    Use :meth:`build` to create a tree. Trees are immutable, so :meth:`refit` and :meth:`update` return new ones.
 
     Attributes:
-        xyz: (V, 3) float32 positions for which the tree was built or refitted, without gradient.
+        xyz: (V, 3) float32 vertex positions for which the tree was built or refitted, detached.
         triangles: (T, 3) int32 vertex indices.
-        nodes, blocks: (N, 64) and (B, 80) float32. Each row has the bytes of one node of the tree or of one block of up
-            to eight triangles.
+        nodes: (N, 64) float32; each row has the bytes of one tree node.
+        blocks: (B, 80) float32; each row has the bytes of one block of up to eight triangles.
         magnitude: largest absolute coordinate of the triangles, in world units.
-        cost_when_built: :attr:`cost` of the tree when it was built.
+        cost_when_built: value of :attr:`cost` when the tree was built.
     """
 
     xyz: Tensor
@@ -36,11 +36,11 @@ class Bvh:
 
     @classmethod
     def build(cls, xyz: Tensor, triangles: Tensor, *, threads: int = 0) -> Bvh:
-        """Build a tree by the surface area heuristic. The tree is always built on the CPU.
+        """Build a tree with the surface area heuristic, always on the CPU.
 
         Args:
-            xyz: (V, 3) float32 positions in world units, on the CPU or a CUDA device. The tree keeps a copy. A triangle
-                with a coordinate that is not finite, or above 1e18, is never hit.
+            xyz: (V, 3) float32 vertex positions in world units, on the CPU or a CUDA device. The tree keeps a copy.
+                Triangles with a coordinate that is not finite or exceeds 1e18 in absolute value are never hit.
             triangles: (T, 3) int32 vertex indices, on the same device. T may be 0.
             threads: number of threads; 0 means the environment variable FOURD_THREADS, or torch.get_num_threads(). The
                 tree is the same for any number of threads.
@@ -59,19 +59,19 @@ class Bvh:
 
     @property
     def cost(self) -> float:
-        """Expected number of boxes that a random ray hits, if the ray hits the box of the whole mesh."""
+        """Expected number of boxes that a random ray hits, given that it hits the mesh's bounding box."""
         return tree_cost(self.nodes, self.blocks)
 
     def refit(self, xyz: Tensor, *, threads: int = 0) -> Bvh:
-        """Return a tree with the same structure, fitted to the moved vertices ``xyz``. Hits are still exact. If
-        neighbouring triangles move apart, tracing becomes slower.
+        """Return a tree with the same structure, fitted to the moved vertices ``xyz``. Hits remain exact, but tracing
+        becomes slower if neighbouring triangles move apart.
 
         Args:
-            xyz: (V, 3) float32 positions, with the number of vertices and the device of :attr:`xyz`.
+            xyz: (V, 3) float32 positions, of the same number of vertices and on the same device as :attr:`xyz`.
             threads: as in :meth:`build`.
 
         Raises:
-            TypeError, ValueError: for an invalid argument, for example another number of vertices.
+            TypeError, ValueError: for an invalid argument, for example a different number of vertices.
         """
         check_tensor("xyz", xyz, ("V", 3), like=("the tree's xyz", self.xyz))
         if xyz.shape != self.xyz.shape:
@@ -84,15 +84,15 @@ class Bvh:
         return replace(self, xyz=positions, nodes=nodes, blocks=blocks, magnitude=magnitude)
 
     def update(self, xyz: Tensor, *, rebuild_above: float = 1.5, threads: int = 0) -> Bvh:
-        """Refit the tree to moved vertices, and return the refitted tree. If its cost is more than ``rebuild_above``
-        times :attr:`cost_when_built`, build and return a new tree instead."""
+        """Return the tree refitted to moved vertices, or a newly built tree if the refitted tree's cost is more than
+        ``rebuild_above`` times :attr:`cost_when_built`."""
         refitted = self.refit(xyz, threads=threads)
         if refitted.cost <= rebuild_above * self.cost_when_built:
             return refitted
         return Bvh.build(xyz, self.triangles, threads=threads)
 
     def require_positions(self, xyz: Tensor) -> None:
-        """Raise ValueError unless ``xyz`` equals the positions for which the tree was built or refitted."""
+        """Raise a ValueError unless ``xyz`` equals the positions for which the tree was built or refitted."""
         # The comparison is bitwise, because positions may be NaN.
         given = xyz.detach().to(self.xyz.dtype).contiguous()
         is_same = xyz.shape == self.xyz.shape and xyz.device == self.xyz.device

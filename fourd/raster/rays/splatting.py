@@ -1,4 +1,4 @@
-"""Soft triangles composited along rays: :func:`splat_along_rays`."""
+"""Compositing of soft triangles along rays: :func:`splat_along_rays`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fourd.raster.rays.bvh import Bvh
 from fourd.raster.rays.tracing import Hits, trace
 
 CHUNK_LAYERS = 16
-"""Number of hits per ray that one call of the ray tracer returns."""
+"""Number of hits per ray that one call to the ray tracer returns."""
 MIN_ALPHA = 1 / 255
 
 
@@ -50,28 +50,27 @@ def splat_along_rays(
     """Composite soft triangles front to back along rays, as UTrice does (Li et al. 2025), with the window of triangle
     splatting (Held et al. 2025).
 
-    Let a_k = b_k * P / l_k, where b_k is the barycentric weight of vertex k at the hit, P the perimeter of the
-    triangle, and l_k the length of the edge opposite to vertex k. The window is min(a_0, a_1, a_2)^sigma: 1 at the
-    incentre and 0 at the edges. The alpha of a triangle is min(0.99, opacity * window). Triangles with an alpha of at
-    least 1/255 are composited in ascending order of t, and in the order of their indices at equal t. Compositing stops
-    when the transmittance is at most 1e-4.
+    Let b_k be the barycentric coordinate of vertex k at the hit, P the triangle's perimeter, l_k the length of the edge
+    opposite to vertex k, and a_k = b_k * P / l_k. The window is min(a_0, a_1, a_2)^sigma, which is 1 at the incentre
+    and 0 at the edges. The triangle's alpha is min(0.99, opacity * window). Triangles with an alpha of at least 1/255
+    are composited in ascending order of t, and of their indices at equal t, until the transmittance is at most 1e-4.
 
-    Edge lengths and barycentric weights are those of the triangle projected to the image of ``camera``, or those of the
-    triangle in 3D if ``camera`` is None. With ``camera``, rays through its pixel centres give the image of
-    :func:`fourd.raster.triangles.splat_triangles`, except that triangles are sorted by t, not by their centres' depths.
+    Edge lengths and barycentric coordinates are those of the triangle projected to the image of ``camera``, or those of
+    the triangle in 3D if ``camera`` is None. If ``camera`` is given, rays through its pixel centres give the image of
+    :func:`fourd.raster.triangles.splat_triangles`, but with triangles sorted by t, not by their centres' depths.
 
     Args:
-        bvh: tree over the triangles.
+        bvh: bounding volume hierarchy of the triangles.
         xyz: (V, 3) float32 positions, equal to ``bvh.xyz``.
         features: (T, C) float32 colours or other features.
         opacity: (T,) float32 opacity at the incentre.
-        sigma: (T,) float32 exponent of the window, above 0.
+        sigma: (T,) float32 exponent of the window, positive.
         camera: camera whose image defines the window, or None.
         t_min: hits with t below ``t_min`` are skipped. The point at t is ``origin + t * direction``.
         layers: maximum number of triangles that are composited along a ray, or None for no limit.
         origins, directions, backend, threads: as in :func:`fourd.raster.rays.trace`.
 
-    The results are differentiable in xyz, features, opacity, sigma, origins and directions.
+    The results are differentiable in ``xyz``, ``features``, ``opacity``, ``sigma``, ``origins`` and ``directions``.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
@@ -95,8 +94,8 @@ def splat_along_rays(
 
 
 class _Window:
-    """Computes min_k a_k, the base of the window function of :func:`splat_along_rays`, from the barycentric weights of
-    hits. The triangle is projected to the image of ``camera``, or used in 3D if ``camera`` is None."""
+    """Computes min_k a_k, the base of the window function of :func:`splat_along_rays`, from the hits' barycentric
+    coordinates. The triangle is projected to the image of ``camera``, or used in 3D if ``camera`` is None."""
 
     def __init__(self, corners: Tensor, camera: Camera | None) -> None:
         if camera is None:
@@ -111,11 +110,10 @@ class _Window:
         self.scale = length.sum(1, keepdim=True) / length
 
     def at(self, triangle: Tensor, weights: Tensor) -> Tensor:
-        """Return min_k a_k (M,) for M hits, given the triangle indices (M,) and the barycentric weights (M, 3) of the
-        hits in the 3D triangles."""
+        """Return min_k a_k (M,) for M hits, given the triangle indices (M,) and the hits' barycentric coordinates
+        (M, 3) in the 3D triangles."""
         if self.depths is not None:
-            # Barycentric weights in the image are proportional to the weights in space multiplied by the depths of the
-            # vertices.
+            # Barycentric coordinates in the image are proportional to those in 3D multiplied by the vertices' depths.
             scaled = weights * self.depths[triangle]
             weights = scaled / scaled.sum(1, keepdim=True)
         return (weights * self.scale[triangle]).amin(1)
@@ -125,15 +123,15 @@ def _alpha(window: Tensor, opacity: Tensor, sigma: Tensor) -> Tensor:
     is_inside = window >= SMALLEST_WINDOW
     safe = torch.where(is_inside, window, torch.ones_like(window))
     value = opacity * torch.exp2(sigma * torch.log2(safe))
-    # Alphas that are limited to MAX_ALPHA have no gradient.
+    # Alphas that are clamped to MAX_ALPHA have no gradient.
     limited = torch.where(value <= MAX_ALPHA, value, torch.full_like(value, MAX_ALPHA))
     return torch.where(is_inside & (value >= MIN_ALPHA), limited, torch.zeros_like(value))
 
 
 @dataclass(frozen=True)
 class _Soup:
-    """The attributes of all triangles: features (T, C), opacity (T,), sigma (T,), and ``window``, which computes the
-    base of the window function at a hit."""
+    """The triangles' features (T, C), opacity (T,) and sigma (T,), and ``window``, which computes the base of the
+    window function at a hit."""
 
     features: Tensor
     opacity: Tensor
@@ -150,12 +148,12 @@ class _Soup:
 
 @dataclass
 class _State:
-    """Compositing of R rays.
+    """The compositing state of R rays.
 
     Attributes:
-        colour: (R, C) features that were composited so far.
+        colour: (R, C) features composited so far.
         transmittance: (R,) transmittance behind the last composited triangle.
-        taken: (R,) int64 number of triangles that were composited.
+        taken: (R,) int64 number of triangles composited so far.
     """
 
     colour: Tensor
@@ -171,8 +169,8 @@ class _State:
         )
 
     def composite(self, soup: _Soup, hits: Hits, active: Tensor, limit: int) -> Tensor:
-        """Composite the next hits of the rays with the indices ``active``. Return a mask of these rays, which is true
-        where compositing is complete."""
+        """Composite the next hits of the rays with the indices ``active``. Return a mask of the rays among them whose
+        compositing is complete."""
         ray, layer = hits.is_hit.nonzero(as_tuple=True)
         alpha = soup.features.new_zeros(hits.t.shape).index_put((ray, layer), soup.alpha(hits, ray, layer))
         counts = (alpha.detach() > 0).long()
@@ -186,8 +184,8 @@ class _State:
         triangle = hits.triangle[ray, layer].long()
         colour = weights[ray, layer, None] * soup.features[triangle]
         self.colour = self.colour.index_add(0, active[ray], colour)
-        # The weights are subtracted from the transmittance. Multiplying by ``products`` would be wrong, because
-        # ``products`` also contains hits behind the last composited triangle.
+        # The weights are subtracted from the transmittance. Multiplying it by ``products`` would be wrong, because
+        # ``products`` also contain hits behind the last composited triangle.
         remaining = transmittance - weights.sum(1)
         self.transmittance = self.transmittance.index_put((active,), remaining)
         self.taken[active] += ((alpha.detach() > 0) & ~is_behind).sum(1)

@@ -18,14 +18,13 @@ MAX_RAYS = 2**31 - 1
 
 @dataclass(frozen=True)
 class Hits:
-    """The K nearest hits of R rays, in ascending order of t. Hits with equal t are in the order of their triangle
-    indices.
+    """The K nearest hits of R rays, in ascending order of t, and of triangle indices at equal t.
 
     Attributes:
-        t: (R, K) float32, differentiable. The hit is at ``origin + t * direction``. Without a hit, t is infinite.
-        u, v: (R, K) float32 barycentric weights of the vertices 0 and 1 of the triangle, differentiable. Vertex 2 has
-            the weight 1 - u - v. Without a hit, u and v are 0.
-        triangle: (R, K) int32 index of the triangle; -1 where there is no hit.
+        t: (R, K) float32, differentiable; infinite where there is no hit. The hit is at ``origin + t * direction``.
+        u, v: (R, K) float32 barycentric coordinates of the triangle's vertices 0 and 1, differentiable; 0 where there
+            is no hit. That of vertex 2 is 1 - u - v.
+        triangle: (R, K) int32 triangle index; -1 where there is no hit.
     """
 
     t: Tensor
@@ -35,12 +34,12 @@ class Hits:
 
     @property
     def is_hit(self) -> Tensor:
-        """(R, K) bool: whether there is a hit."""
+        """(R, K) bool mask, true where there is a hit."""
         return self.triangle >= 0
 
     def last(self) -> tuple[Tensor, Tensor]:
-        """Return t (R,) and triangle (R,) of the last layer, for the argument ``after`` of :func:`trace`. With this
-        argument, rays that had fewer than K hits find no further hits."""
+        """Return t (R,) and triangle (R,) of the last layer, to pass as the argument ``after`` of :func:`trace`. Rays
+        that had fewer than K hits then find no further hits."""
         return self.t[:, -1].detach(), self.triangle[:, -1]
 
 
@@ -59,34 +58,33 @@ def trace(
 ) -> Hits:
     """Find the nearest hits of rays with triangles.
 
-    The result is the same as if each ray were tested against every triangle. Hits are sorted by t, and hits with equal
-    t are sorted by triangle index. The test is watertight (Woop, Benthin and Wald 2013): a ray that passes through a
-    common edge of two triangles hits at least one of them. Rays hit triangles from both sides. Triangles with two equal
-    corners, and triangles that are seen exactly edge-on, are not hit.
+    The result is the same as if each ray were tested against every triangle. Hits are sorted by t, and by triangle
+    index at equal t. The test is watertight (Woop, Benthin and Wald 2013): a ray through the common edge of two
+    triangles hits at least one of them. Rays hit triangles from both sides. Triangles with two equal corners, and those
+    seen exactly edge-on, are never hit.
 
     Args:
-        bvh: tree over the triangles.
-        xyz: (V, 3) float32 positions in world units, equal to ``bvh.xyz``. ``bvh.xyz`` is detached, so the gradient of
-            the positions flows only to this tensor.
+        bvh: bounding volume hierarchy of the triangles.
+        xyz: (V, 3) float32 positions in world units, equal to ``bvh.xyz``. The gradient of the positions flows to this
+            tensor, because ``bvh.xyz`` is detached.
         origins: (R, 3) float32 in world units, with absolute values of at most 1e18.
         directions: (R, 3) float32, of any length. The point at t is ``origin + t * direction``. The largest absolute
-            coordinate of a direction must be between 1e-18 and 1e18. A ray outside the limits for origins and
-            directions hits nothing.
-        t_min, t_max: limits of t for all rays, or (R,) limits for each ray. Only hits with t in [t_min, t_max] are
-            found. A ray with t_min > t_max hits nothing.
-        layers: number K of hits for each ray, from 1 to 1024.
-        after: t (R,) and triangle (R,) of one hit of each ray. Only hits that come after this hit are found. If
-            ``after`` is ``hits.last()`` of the previous call, the call returns the next hits, and hits of equal t are
-            neither lost nor repeated.
-        backend: "auto" for the kernels of the tensors' device, or "reference" for plain torch (float32 or float64,
+            coordinate of a direction must be between 1e-18 and 1e18. A ray whose origin or direction is out of range
+            hits nothing.
+        t_min, t_max: range of t in which hits are found: one number for all rays, or a tensor (R,) with one per ray. A
+            ray with t_min > t_max hits nothing.
+        layers: maximum number K of hits per ray, from 1 to 1024.
+        after: t (R,) and triangle (R,) of one hit per ray. Only hits that come after it are found. Pass ``hits.last()``
+            of the previous call to get the next hits. Hits of equal t are then neither lost nor repeated.
+        backend: "auto" for the kernels for the tensors' device, or "reference" for plain torch (float32 or float64,
             slow).
         threads: number of threads on the CPU; 0 means the environment variable FOURD_THREADS, or
             torch.get_num_threads(). Results are bit-identical for any number of threads and any instruction set.
 
     Returns:
-        The hits. t, u and v are differentiable in xyz, origins and directions (implicit differentiation of the equation
-        of Moeller and Trumbore 1997). The index of the hit triangle has no derivative. On a GPU, the last bits of the
-        gradient of xyz can differ between calls.
+        The hits. t, u and v are differentiable in ``xyz``, ``origins`` and ``directions``, by implicit differentiation
+        of the equation of Moeller and Trumbore (1997). On a GPU, the last bits of the gradient of ``xyz`` can differ
+        between calls.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
@@ -108,7 +106,7 @@ def occluded(
     t_max: float | Tensor = torch.inf,
     threads: int = 0,
 ) -> Tensor:
-    """Return (R,) bool: whether each ray hits any triangle with t in [t_min, t_max].
+    """Return a mask (R,) of the rays that hit any triangle with t in [t_min, t_max].
 
     For the arguments, see :func:`trace`. The result is not differentiable.
 
@@ -120,15 +118,14 @@ def occluded(
 
 
 def visibility(bvh: Bvh, points: Tensor, targets: Tensor, *, margin: float = 1e-4, threads: int = 0) -> Tensor:
-    """Return (N, M) bool. Element (i, j) is true if no triangle lies between point i and target j.
+    """Return a mask (N, M) whose element (i, j) is true if no triangle lies between point i and target j.
 
     Args:
-        bvh: tree over the triangles.
+        bvh: bounding volume hierarchy of the triangles.
         points: (N, 3) float32 in world units.
-        targets: (M, 3) float32 in world units, for example the centres of cameras.
-        margin: a distance, as a share of the distance between the point and the target; at least 0 and below 0.5.
-            Intersections closer than the margin to the point or to the target are ignored, so that a surface does not
-            occlude its own points.
+        targets: (M, 3) float32 in world units, for example camera centres.
+        margin: fraction of the distance between a point and a target, at least 0 and below 0.5. Intersections closer
+            than this to the point or to the target are ignored, so that a surface does not occlude its own points.
         threads: as in :func:`trace`.
 
     Raises:
@@ -154,8 +151,7 @@ def _check_rays(
     threads: int,
     backend: str,
 ) -> tuple[Tensor, Tensor]:
-    """Check the rays, and return t_min and t_max as tensors with one element for all rays, or one element for each
-    ray."""
+    """Check the rays, and return t_min and t_max as tensors with one element for all rays, or one per ray."""
     if backend not in ("auto", "reference"):
         raise ValueError(f"backend: expected 'auto' or 'reference', got {backend!r}")
     if threads < 0:

@@ -1,6 +1,6 @@
 """Differentiable rasterization of triangles: the public API.
 
-Importing this package does not import torch. The first use of one of the functions imports torch.
+Importing this package does not import torch; the first use of one of the public names does.
 """
 
 from __future__ import annotations

@@ -17,24 +17,24 @@ from fourd.ops.meshes.checks import check_resolution, check_tensor, check_triang
 
 @dataclass(frozen=True)
 class Topology:
-    """The neighbours of the triangles of a mesh, which :func:`antialias` uses.
+    """The neighbours of a mesh's triangles, for :func:`antialias`.
 
     Attributes:
-        opposite: (T, 3) int32. Column i belongs to the edge opposite to vertex i of the triangle. The column contains
-            the third vertex of the neighbouring triangle at this edge. -1 marks an edge that belongs to only one
-            triangle, or to more than two triangles. An edge with the value -1 is always a silhouette edge.
+        opposite: (T, 3) int32. Column i contains the third vertex of the neighbouring triangle at the edge opposite to
+            vertex i, or -1 if the edge belongs to only one triangle or to more than two. Edges with the value -1 are
+            always silhouette edges.
     """
 
     opposite: Tensor
 
 
 def antialias_construct_topology(tri: Tensor) -> Topology:
-    """Find the neighbours of all triangles. Use the result if :func:`antialias` is called several times with the same
+    """Find the neighbours of all triangles. Use the result to speed up several calls of :func:`antialias` with the same
     triangles.
 
     Args:
-        tri: (T, 3) int32 vertex indices. Triangles are neighbours if they share two vertex indices, regardless of the
-            triangles' orientation.
+        tri: (T, 3) int32 vertex indices. Triangles are neighbours if they share two vertex indices, regardless of
+            orientation.
 
     Raises:
         TypeError, ValueError: for an invalid ``tri``. The error message names the expected value.
@@ -58,10 +58,10 @@ def antialias(
     rendering", section 3.5).
 
     Each pixel is compared with its right and its lower neighbour. Let p and q be two neighbouring pixels that show
-    different triangles, where p shows the triangle with the smaller z/w. Let c_p and c_q be the colours of p and q. If
-    a silhouette edge of this triangle crosses the segment between the centres of p and q, let t be the distance in
-    pixels from the centre of p to the crossing. If t < 0.5, c_p changes by (0.5 - t) * (c_q - c_p). If t >= 0.5, c_q
-    changes by (t - 0.5) * (c_p - c_q). Edges whose angle to the segment is below 45 degrees are ignored.
+    different triangles, p the one with the smaller z/w, and let c_p and c_q be their colours. Pixels are blended if a
+    silhouette edge of p's triangle crosses the segment between the centres of p and q. Let t be the distance in pixels
+    from the centre of p to the crossing. If t < 0.5, c_p changes by (0.5 - t) * (c_q - c_p). If t >= 0.5, c_q changes
+    by (t - 0.5) * (c_p - c_q). Edges whose angle to the segment is below 45 degrees are ignored.
 
     An edge is a silhouette edge if it belongs to only one triangle or to more than two triangles, or if its two
     triangles lie on the same side of the edge in the image.
@@ -72,17 +72,16 @@ def antialias(
 
     Args:
         color: (B, H, W, C) image to antialias. The values are not checked.
-        rast: (B, H, W, 4) result of ``rasterize`` for ``pos`` and ``tri``. A pixel whose encoded triangle index is T +
-            1 or more is treated as background.
+        rast: (B, H, W, 4) result of ``rasterize`` for ``pos`` and ``tri``. Pixels with triangle indices of T or more
+            are treated as background.
         pos: (B, V, 4) vertices in clip space, or (V, 4) if all images share the vertices ("range mode"). Pixels are not
-            blended across an edge if a coordinate of one of its two vertices is not finite.
-        tri: (T, 3) int32 vertex indices. On a GPU, triangles with indices out of range are ignored. On the CPU, an
-            index out of range is an error.
-        topology: result of :func:`antialias_construct_topology` for ``tri``. If None, this call finds the neighbours of
-            the triangles itself.
-        pos_gradient_boost: number by which the gradient of ``pos`` is multiplied.
+            blended across an edge if one of its vertices has a non-finite coordinate.
+        tri: (T, 3) int32 vertex indices. On the CPU, an index out of range is an error; on a GPU, its triangle is
+            ignored.
+        topology: result of :func:`antialias_construct_topology` for ``tri``, or None to compute it in this call.
+        pos_gradient_boost: factor for the gradient of ``pos``.
         backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
-            float32 kernels, or "auto" for the kernel of the tensors' device.
+            float32 kernels, or "auto" for the kernels for the tensors' device.
         threads: number of CPU threads. 0 means the environment variable FOURD_THREADS, or torch.get_num_threads().
 
     Returns:

@@ -1,4 +1,4 @@
-"""Clip coordinates of fourd's cameras, computed with :func:`clip_matrix`."""
+"""Clip coordinates for fourd's cameras: :func:`clip_matrix`."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from fourd.cameras import Camera
 
 
 def clip_matrix(camera: Camera, near: float, far: float) -> Tensor:
-    """Return the matrix that maps homogeneous world coordinates to clip coordinates, (4, 4) float32.
+    """Return the (4, 4) float32 matrix that maps homogeneous world coordinates to clip coordinates.
 
-    The clip coordinates of points are ``pos = xyz_homogeneous @ clip_matrix(camera, near, far).T``. From these clip
-    coordinates, :func:`fourd.raster.triangles.rasterize` computes an image with the same rows and columns as the
-    camera's image. Row 0 is at the top. w is the camera depth. z/w is -1 at the depth ``near`` and 1 at the depth
-    ``far``.
+    Points have the clip coordinates ``pos = xyz_homogeneous @ clip_matrix(camera, near, far).T``, from which
+    :func:`fourd.raster.triangles.rasterize` computes an image with the camera image's rows and columns. Row 0 is at the
+    top. w is the camera depth, and z/w is -1 at the depth ``near`` and 1 at the depth ``far``.
 
     Args:
         camera: pinhole camera without lens distortion.
@@ -24,7 +23,7 @@ def clip_matrix(camera: Camera, near: float, far: float) -> Tensor:
 
     Raises:
         TypeError: if ``camera`` is not a camera.
-        ValueError: if the camera has lens distortion, or the depths are wrong.
+        ValueError: if the camera has lens distortion, or the depths are out of range.
     """
     if not isinstance(camera, Camera):
         raise TypeError(f"camera: expected a fourd.cameras.Camera, got {type(camera).__name__}")

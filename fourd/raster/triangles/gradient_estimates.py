@@ -1,4 +1,4 @@
-"""Gradients through renderers that are not differentiable (public API)."""
+"""Gradient estimates for renderers that are not differentiable (public API)."""
 
 from __future__ import annotations
 
@@ -19,28 +19,27 @@ def estimate_gradient(
     samples: int = 1,
     generator: torch.Generator | None = None,
 ) -> Tensor:
-    """From rendered images, estimate the gradient of a loss with respect to the parameters of primitives (Deliot et al.
+    """Estimate the gradient of a loss with respect to the parameters of primitives from rendered images (Deliot et al.
     2024, "Transforming a non-differentiable rasterizer into a differentiable one with stochastic gradient estimation").
 
-    For each sample, two images are rendered: one with the parameters params + epsilon * s, and one with params -
-    epsilon * s. The sign s, +1 or -1, is chosen at random for each parameter. Let L_+ and L_- be the losses of a pixel
-    in the two images. For this pixel, (L_+ - L_-) * s / (2 * epsilon) is added to the gradients of the primitives that
-    the pixel shows in at least one of the two images. The expected value of this estimate is approximately the gradient
-    of the loss, smoothed over a distance of epsilon. The noise of the estimate is inversely proportional to the square
-    root of ``samples``.
+    Each sample renders two images, one with the parameters params + epsilon * s and one with params - epsilon * s,
+    where the sign s is +1 or -1, chosen at random for each parameter. Let L_+ and L_- be a pixel's losses in the two
+    images. The pixel adds (L_+ - L_-) * s / (2 * epsilon) to the gradients of the primitives that it shows in at least
+    one of them. The expected value of this estimate is approximately the gradient of the loss, smoothed over a distance
+    of epsilon. Its noise is inversely proportional to the square root of ``samples``.
 
     Args:
-        render: function that maps parameters to an image. The function need not be differentiable, and is called twice
-            per sample.
-        loss: function that maps an image to one loss per pixel, (H, W) or any other shape. The estimated gradient is
-            the gradient of the sum of all pixels' losses.
+        render: function that maps parameters to an image. It need not be differentiable, and is called twice per
+            sample.
+        loss: function that maps an image to one loss per pixel, of shape (H, W) or any other. The gradient is that of
+            the sum of all pixels' losses.
         params: (N, ...) parameters of N primitives, floating point.
         ids: function that maps parameters to the integer indices of the primitives that each pixel shows. The result
-            has the shape of the losses, or one more axis if a pixel shows several primitives. Negative values mean that
-            the pixel shows no primitive. The function ``ids`` is called directly after ``render`` with the same
-            parameters, so it can return indices that ``render`` has computed.
-        epsilon: size of the perturbation, greater than 0: a number, or a tensor that broadcasts to ``params``.
-        samples: number of pairs of images that are rendered, at least 1.
+            has the shape of the losses, or one more axis if a pixel shows several primitives. Negative values stand for
+            no primitive. ``ids`` is called directly after ``render`` with the same parameters, so it can return indices
+            that ``render`` has computed.
+        epsilon: positive size of the perturbation, as a number or as a tensor that broadcasts to ``params``.
+        samples: number of rendered image pairs, at least 1.
         generator: random generator on the device of ``params``. If None, torch's default generator is used.
 
     Returns:
@@ -64,8 +63,8 @@ def estimate_gradient(
 
 
 def _sum_by_primitive(differences: Tensor, seen: Tensor, count: int) -> Tensor:
-    """For each primitive, sum the loss differences (P,) of the pixels that show the primitive. ``seen`` (P, K) are the
-    indices of the primitives that each pixel shows. A pixel that lists a primitive several times is counted once."""
+    """For each primitive, sum the loss differences (P,) of the pixels that show it. ``seen`` (P, K) are the indices of
+    the primitives that each pixel shows. A pixel that lists a primitive several times is counted once."""
     seen = seen.sort(1).values
     repeated = torch.zeros_like(seen, dtype=torch.bool)
     repeated[:, 1:] = seen[:, 1:] == seen[:, :-1]

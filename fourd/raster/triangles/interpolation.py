@@ -30,23 +30,22 @@ def interpolate(
     the pixel's triangle.
 
     Args:
-        attr: (B, V, C) float32 attributes of each mesh, or (1, V, C) or (V, C) attributes that all images share.
-            C is at least 1.
+        attr: (B, V, C) float32 attributes of each mesh, or (1, V, C) or (V, C) attributes that all images share, with C
+            of at least 1.
         rast: (B, H, W, 4) result of ``rasterize``.
         tri: (T, 3) int32 vertex indices of the triangles.
-        rast_db: (B, H, W, 4) derivatives from ``rasterize``. The derivatives are needed if ``diff_attrs`` is given.
+        rast_db: (B, H, W, 4) derivatives from ``rasterize``, required if ``diff_attrs`` is given.
         diff_attrs: channels whose derivatives are computed: a list (negative indices count from the end), or "all".
         backend, threads: see ``rasterize``.
 
     Returns:
-        ``out`` (B, H, W, C) and ``out_da`` (B, H, W, 2 * D) for D channels in ``diff_attrs``. ``out_da`` has the
-        derivatives with respect to the pixel position along columns (X) and rows (Y). Their order is d0/dX, d0/dY,
+        The values ``out`` (B, H, W, C), and for D channels in ``diff_attrs`` the derivatives ``out_da``
+        (B, H, W, 2 * D) with respect to the pixel position along columns (X) and rows (Y). Their order is d0/dX, d0/dY,
         d1/dX, d1/dY and so on, where 0 and 1 are the first two channels in ``diff_attrs``. Pixels that show no
         triangle, or a triangle with index T or more, have the value 0.
 
-        ``out`` is differentiable in ``attr`` and in u and v of ``rast``. ``out_da`` is differentiable in ``attr`` and
-        in ``rast_db``. Second derivatives are not supported. On the CPU, gradients are bit-identical for any number of
-        threads.
+        ``out`` is differentiable in ``attr`` and in u and v of ``rast``, and ``out_da`` in ``attr`` and ``rast_db``.
+        Second derivatives are not supported. On the CPU, gradients are bit-identical for any number of threads.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.

@@ -1,4 +1,4 @@
-"""Rasterization of triangles that lie behind each other, one layer after the other: :class:`DepthPeeler`."""
+"""Rasterization of triangles behind each other, layer by layer: :class:`DepthPeeler`."""
 
 from __future__ import annotations
 
@@ -14,12 +14,11 @@ from fourd.raster.triangles.rasterization import check_mesh
 
 
 class DepthPeeler:
-    """Rasterizes the layers of a mesh one after the other, from front to back.
+    """Rasterizes a mesh layer by layer, from front to back.
 
-    At each pixel, the triangles are ordered by z/w. Triangles with equal z/w are ordered by index. Layer k shows the
-    triangle at position k of this order, starting with k = 0. Two triangles with equal depth, such as coincident
-    triangles, are therefore in consecutive layers. If a pixel shows no triangle in one layer, it shows no triangle in
-    any later layer.
+    At each pixel, the triangles are ordered by z/w, and by index at equal z/w. Layer k shows the triangle at position k
+    of this order, starting with k = 0, so coincident triangles are in consecutive layers. If a pixel shows no triangle
+    in one layer, it shows none in any later layer.
 
     Usage::
 
@@ -40,7 +39,7 @@ class DepthPeeler:
         backend: str = "auto",
         threads: int = 0,
     ) -> None:
-        """For the arguments and the errors, see :func:`fourd.raster.triangles.rasterize`."""
+        """See :func:`fourd.raster.triangles.rasterize` for the arguments and the errors."""
         self._pos, self._tri, self._ranges = check_mesh(pos, tri, ranges)
         self._size = check_resolution(resolution)
         self._outputs = (output_db, grad_db)
@@ -61,8 +60,8 @@ class DepthPeeler:
         self._is_open = False
 
     def rasterize_next_layer(self) -> tuple[Tensor, Tensor]:
-        """Return ``rast`` and ``rast_db`` of the next layer, as :func:`fourd.raster.triangles.rasterize` does. The
-        first call in the ``with`` block returns the nearest layer.
+        """Return ``rast`` and ``rast_db`` of the next layer, in the format of :func:`fourd.raster.triangles.rasterize`.
+        The first call in the ``with`` block returns the nearest layer.
 
         Raises:
             RuntimeError: if the call is outside a ``with`` block.

@@ -38,14 +38,13 @@ def rasterize_soft(
 ) -> tuple[Tensor, Tensor]:
     """Render triangles with soft edges and soft occlusion (SoftRas, Liu et al. 2019, equations 1 to 4).
 
-    Triangle j covers the share D_ij of pixel i: D_ij = sigmoid(d_ij^2 / sigma) if the pixel's centre is inside the
-    triangle, and D_ij = sigmoid(-d_ij^2 / sigma) if it is outside. The argument ``distance`` defines d_ij. The alpha of
-    the pixel is 1 - prod_j (1 - D_ij). The features of the pixel are a weighted mean over the triangles and the
-    background. In the mean, triangle j has the weight D_ij * exp(zbar_ij / gamma), and the background has the features
-    0 and the weight exp(eps / gamma). zbar_ij is the normalised depth of the triangle at the pixel: 1 at ``near`` and 0
-    at ``far``. Outside the triangle, zbar_ij is computed from the clamped barycentric coordinates of the pixel.
+    The soft coverage of pixel i by triangle j is D_ij = sigmoid(d_ij^2 / sigma) if the pixel's centre is inside the
+    triangle, and D_ij = sigmoid(-d_ij^2 / sigma) if it is outside. The argument ``distance`` defines d_ij. The pixel's
+    alpha is 1 - prod_j (1 - D_ij). Its features are a weighted mean of the triangles, with weights D_ij * exp(zbar_ij /
+    gamma), and of the background, with features 0 and weight exp(eps / gamma). zbar_ij is the triangle's normalised
+    depth at the pixel, 1 at ``near`` and 0 at ``far``, computed with clamped barycentric coordinates.
 
-    The results are differentiable in xyz and features. In the backward pass, the selection of triangles is treated as
+    The results are differentiable in ``xyz`` and ``features``. The backward pass treats the selection of triangles as
     constant. On the CPU, results and gradients are bit-identical for any number of threads.
 
     Args:
@@ -53,12 +52,12 @@ def rasterize_soft(
         tri: (T, 3) int32 vertex indices. Both sides of a triangle are visible.
         features: (T, C) colours or other features, with C from 1 to 32. The values are not checked.
         camera: a pinhole camera without lens distortion.
-        sigma: softness of the edges, greater than 0. The unit of sigma is the unit of d_ij squared.
-        gamma: temperature of the softmax over depths, greater than 0.
-        layers: number K of nearest triangles per pixel, or None for all. At equal depth, the smaller index is nearer.
+        sigma: softness of the edges, positive, in the units of d_ij squared.
+        gamma: temperature of the softmax over depths, positive.
+        layers: number of nearest triangles per pixel, or None for all. At equal depth, the smaller index is nearer.
         distance: "euclidean": d_ij is the distance from the nearest edge, in units of half of the image's shorter side.
             "barycentric": d_ij is the smallest barycentric coordinate.
-        cutoff: triangles are skipped at pixels where D_ij is below ``cutoff``. The cutoff is in (0, 0.5).
+        cutoff: triangles are skipped at pixels where D_ij is below this number, which is in (0, 0.5).
         near, far: range of camera depths in world units. A triangle is culled if it has a vertex nearer than ``near``,
             if its inradius is at most 1e-4 pixels, or if a vertex is not finite. Culled triangles have zero gradients.
             A triangle is skipped at pixels where its depth is larger than ``far``.

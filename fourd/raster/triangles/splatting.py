@@ -17,8 +17,8 @@ from fourd.ops.splat_triangles.reference import splat_triangles_reference
 
 MAX_CHANNELS = 32
 LARGEST_COORDINATE = 1e9
-"""Maximum absolute value of the coordinates from which normals and depths are computed. Larger coordinates are treated
-as 0, because their squares could overflow."""
+"""When normals and depths are computed, coordinates of at least this absolute value are treated as 0, because their
+squares could overflow."""
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,13 @@ class TriangleRender:
     Attributes:
         features: (H, W, C) composited features.
         alpha: (H, W) opacity in [0, 1].
-        depth: (H, W) weighted mean of the camera depths of the composited triangles' centres, in world units. The
-            weight of a triangle is the triangle's alpha times the transmittance in front of the triangle. The depth is
-            0 where ``alpha`` is 0. None if ``geometry`` is false.
-        normal: (H, W, 3) weighted sum of the unit normals of the composited triangles, with the weights of ``depth``.
-            The normals are in world coordinates and point towards the camera. None if ``geometry`` is false.
-        weight: (T,) largest compositing weight of each triangle over all pixels, not differentiable. The weight is 0 if
-            the triangle is not visible.
+        depth: (H, W) weighted mean of the camera depths of the composited triangles' centres in world units, 0 where
+            ``alpha`` is 0. A triangle's weight is its alpha times the transmittance in front of it. None if
+            ``geometry`` is False.
+        normal: (H, W, 3) sum of the composited triangles' unit normals, with the weights of ``depth``. The normals are
+            in world coordinates and point towards the camera. None if ``geometry`` is False.
+        weight: (T,) maximum compositing weight of each triangle over all pixels, not differentiable, 0 for invisible
+            triangles.
     """
 
     features: Tensor
@@ -60,34 +60,33 @@ def splat_triangles(
 ) -> TriangleRender:
     """Composite soft triangles front to back (triangle splatting, Held et al. 2025).
 
-    Let phi(p) be the largest of the three signed distances, in pixels, between the pixel p and the edges of a projected
-    triangle. The distances are negative inside the triangle. Let s be the incentre of the triangle. The window function
-    I(p) = max(phi(p) / phi(s), 0)^sigma is 1 at the incentre and 0 at the edges. The alpha of the triangle is min(0.99,
-    opacity * I(p)).
+    Let phi(p) be the largest of the three signed distances, in pixels, of the pixel p from the edges of a projected
+    triangle, which are negative inside it. Let s be the triangle's incentre. The window function I(p) = max(phi(p) /
+    phi(s), 0)^sigma is 1 at the incentre and 0 at the edges. The triangle's alpha is min(0.99, opacity * I(p)).
 
-    At each pixel, the triangles with an alpha of at least 1/255 are composited in ascending order of the camera depths
-    of their centres. Triangles with equal depth are composited in the order of their indices. Compositing of a pixel
-    stops when the pixel's transmittance is at most 1e-4.
+    At each pixel, the triangles with an alpha of at least 1/255 are composited in ascending order of their centres'
+    camera depths, and of their indices at equal depth. Compositing stops when the pixel's transmittance is at most
+    1e-4.
 
-    The results are differentiable in xyz, features, opacity and sigma. In the backward pass, the selection and the
-    order of triangles are treated as constant. On the CPU, results and gradients are bit-identical for any number of
-    threads.
+    The results are differentiable in ``xyz``, ``features``, ``opacity`` and ``sigma``. The backward pass treats the
+    selection and the order of triangles as constant. On the CPU, results and gradients are bit-identical for any number
+    of threads.
 
     Args:
         xyz: (V, 3) vertices in world units.
         tri: (T, 3) int32 vertex indices. Both sides of a triangle are visible.
         features: (T, C) colours or other features, with C from 1 to 32. The values are not checked.
-        opacity: (T,) opacity at the incentre, in [0, 1]. Larger values are allowed, because alpha is at most 0.99.
-        sigma: (T,) or a number: exponent of the window function, greater than 0. With sigma = 1, alpha decreases
-            linearly from the incentre to the edges. With sigma near 0, alpha is almost constant up to the edges.
+        opacity: (T,) opacity at the incentre. Values above 1 are allowed, because alpha is clamped to 0.99.
+        sigma: exponent of the window function, as a tensor (T,) or a number, positive. If it is 1, alpha decreases
+            linearly from the incentre to the edges. If it is near 0, alpha is almost constant up to the edges.
         camera: a pinhole camera without lens distortion.
         layers: maximum number of triangles that are composited per pixel, or None for no limit.
-        near: camera depth of the near plane, in world units. Triangles with a vertex nearer than this depth are culled.
-            Triangles are also culled if their inradius is at most 1e-4 pixels, if their opacity is below 1/255, if
-            their sigma is not positive, or if one of their values is not finite. Culled triangles have zero gradients.
-        geometry: whether to render depths and normals. Without depths and normals, rendering takes about 40% less time.
+        near: triangles with a vertex nearer than this camera depth, in world units, are culled. Triangles are also
+            culled if their inradius is at most 1e-4 pixels, if their opacity is below 1/255, if their sigma is not
+            positive, or if one of their values is not finite. Culled triangles have zero gradients.
+        geometry: whether to render depths and normals. Rendering without them takes about 40% less time.
         backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
-            float32 kernels, or "auto" for the kernel of the tensors' device.
+            float32 kernels, or "auto" for the kernels for the tensors' device.
         threads: number of CPU threads. 0 means the environment variable FOURD_THREADS, or torch.get_num_threads().
 
     Raises:
@@ -115,10 +114,9 @@ def _split(composited: Tensor, alpha: Tensor, weight: Tensor, geometry: bool) ->
 
 
 def _geometry_of(xyz: Tensor, tri: Tensor, camera: Camera) -> Tensor:
-    """Return (T, 4): for each triangle, the unit normal that points towards the camera, and the camera depth of the
-    centre."""
-    # Coordinates that are too large or not finite are replaced, because they would give NaN gradients to culled
-    # triangles.
+    """Return the unit normal of each triangle, pointing towards the camera, and the camera depth of its centre,
+    (T, 4)."""
+    # Coordinates that are too large or not finite would give culled triangles NaN gradients, so they are replaced.
     xyz = torch.where(xyz.abs() < LARGEST_COORDINATE, xyz, 0)
     a, b, c = (xyz.index_select(0, tri[:, corner]) for corner in range(3))
     normal = torch.linalg.cross(b - a, c - a)
@@ -126,8 +124,7 @@ def _geometry_of(xyz: Tensor, tri: Tensor, camera: Camera) -> Tensor:
     eye = torch.as_tensor(camera.centre).to(xyz)
     facing = ((eye - centre) * normal).sum(dim=1, keepdim=True).detach()
     square = (normal * normal).sum(dim=1, keepdim=True)
-    # Degenerate triangles get a normal of about 0. The lower limit of the length keeps the gradients of degenerate
-    # triangles finite.
+    # Degenerate triangles get a normal of about 0, and the lower limit of the length keeps their gradients finite.
     normal = torch.where(facing < 0, -normal, normal) * torch.where(square > 1e-24, square, 1).rsqrt()
     forward = torch.as_tensor(camera.forward.copy()).to(xyz)
     depth = centre @ forward + float(camera.translation[2])

@@ -1,14 +1,14 @@
 """Filtered texture sampling (public API).
 
 The mip level of a pixel is the base-2 logarithm of the longer axis of its footprint in the texture, in texels (Heckbert
-1989, Fundamentals of Texture Mapping and Image Warping). Let (s, t) = (u * W, v * H) be the position in texels in a
-texture of width W and height H, and (X, Y) the position in the image in pixels. Let A = |d(s, t)/dX|^2 and B = |d(s,
-t)/dY|^2, and let C be the dot product of d(s, t)/dX and d(s, t)/dY. Then the level is
+1989, Fundamentals of Texture Mapping and Image Warping). Let (s, t) = (u * W, v * H) be the position in a texture of
+W x H texels, and (X, Y) the position in the image in pixels. Let A = |d(s, t)/dX|^2 and B = |d(s, t)/dY|^2, and let C
+be the dot product of d(s, t)/dX and d(s, t)/dY. The level is
 
     0.5 * log2(0.5 * (A + B) + sqrt(0.25 * (A - B)^2 + C^2)) + bias,
 
-clamped to the existing levels. ``bias`` is ``mip_level_bias``. For a cube map, u and v are the coordinates on the face
-of the cube, in [0, 1].
+clamped to the existing levels, where ``bias`` is ``mip_level_bias``. For a cube map, u and v are the coordinates on the
+cube's face, in [0, 1].
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from fourd.ops.texture.reference import build_mips_reference, sample_texture_ref
 
 @dataclass(frozen=True)
 class Mip:
-    """The mip levels of a texture, which :func:`texture_construct_mip` returns.
+    """The mip levels of a texture, built by :func:`texture_construct_mip`.
 
     Attributes:
         levels: mip levels 1, 2 and so on, without gradients: (B, H / 2, W / 2, C), (B, H / 4, W / 4, C), ... The levels
@@ -53,38 +53,36 @@ def texture(
     backend: Backend = "auto",
     threads: int = 0,
 ) -> Tensor:
-    """Sample a texture at every pixel, with the semantics of ``nvdiffrast.torch.texture``. Returns an image of H' x W'
-    pixels, (B, H', W', C).
+    """Sample a texture at every pixel, with the semantics of ``nvdiffrast.torch.texture``. Return an image
+    (B, H', W', C).
 
     The centre of the texel in column j and row i is at (u, v) = ((j + 0.5) / W, (i + 0.5) / H). The result is
-    differentiable in tex, uv, uv_da, mip_level_bias and in mip levels that are given as tensors. The gradient of tex
-    includes the gradient through mip levels that are built from tex. On the CPU, results and gradients are
-    bit-identical for any number of threads.
+    differentiable in tex, uv, uv_da, mip_level_bias and mip levels that are given as tensors. The gradient of tex
+    includes that through mip levels that are built from it. On the CPU, results and gradients are bit-identical for any
+    number of threads.
 
     Args:
         tex: (B or 1, H, W, C) float32, or (B or 1, 6, N, N, C) for boundary_mode "cube", with faces along +x, -x, +y,
             -y, +z and -z, oriented as in OpenGL. H and W are at most 32,768 texels, and C is at most 4,096.
-        uv: (B, H', W', 2) texture coordinates, or (B, H', W', 3) directions of any length for a cube map. If the
-            coordinates of a pixel are not finite, or if its direction is zero, the result at the pixel is 0 and has no
-            gradient.
+        uv: (B, H', W', 2) texture coordinates, or (B, H', W', 3) directions of any length for a cube map. Pixels with
+            non-finite coordinates or a zero direction have the result 0 and no gradient.
         uv_da: (B, H', W', 4) derivatives of the coordinates with respect to the pixel position in the image: du/dX,
             du/dY, dv/dX, dv/dY. For a cube map, (B, H', W', 6): dx/dX, dx/dY, dy/dX, dy/dY, dz/dX, dz/dY. Pixels whose
             derivatives are NaN use level 0.
-        mip_level_bias: (B, H', W') numbers that are added to the mip level. If uv_da is None, mip_level_bias itself is
-            the mip level.
+        mip_level_bias: (B, H', W') numbers that are added to the mip level. If uv_da is None, they are the mip levels.
         mip: None to build the levels in this call, a :class:`Mip` that was built from tex, or a list of tensors with
-            the levels 1, 2 and so on. The side lengths of a level are half the side lengths of the previous level,
-            rounded down, and at least 1.
-        filter_mode: "nearest" reads one texel of level 0, and the gradient of uv is 0. "linear" is bilinear in level
-            0. "linear-mipmap-nearest" is bilinear in the nearest level, and the gradient of the level is zero.
+            the levels 1, 2 and so on. Each level has half the side lengths of the previous one, rounded down, but at
+            least 1.
+        filter_mode: "nearest" reads one texel of level 0, with zero gradient of uv. "linear" is bilinear in level 0.
+            "linear-mipmap-nearest" is bilinear in the nearest level, with zero gradient of the level.
             "linear-mipmap-linear" is trilinear. "auto" is "linear-mipmap-linear" if uv_da or mip_level_bias is given,
             and "linear" otherwise.
         boundary_mode: how coordinates outside [0, 1] are handled: "wrap" repeats the texture, "clamp" repeats the
-            texels at its border, and "zero" gives 0. With "cube", tex is a cube map, which is continuous across edges.
-            At a corner of the cube, only three texels meet, and their mean is used as the missing fourth texel.
+            texels at its border, and "zero" gives 0. Use "cube" if tex is a cube map. Cube maps are continuous across
+            edges; at a corner, where only three texels meet, their mean is used as the fourth.
         max_mip_level: index of the last level that is built and used. If None, all levels down to 1 x 1 are used.
         backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
-            float32 kernels, or "auto" for the kernel of the tensors' device.
+            float32 kernels, or "auto" for the kernels for the tensors' device.
         threads: number of CPU threads. 0 means the environment variable FOURD_THREADS, or torch.get_num_threads().
 
     Raises:
@@ -111,12 +109,12 @@ def texture_construct_mip(
     """Build the mip levels of a texture once, so that several calls of :func:`texture` can use them with the same
     ``tex``.
 
-    A texel of a level is the mean of 2 x 2 texels of the previous level. If the previous level has a side of one texel,
-    a texel is the mean of 2 texels. If tex changes, build the levels again.
+    Each texel is the mean of 2 x 2 texels of the previous level, or of 2 texels if that level has a side of one texel.
+    Build the levels again if tex changes.
 
     Args:
-        tex: (B, H, W, C) float32, or (B, 6, N, N, C) with cube_mode. In every level except the last, a side longer than
-            1 texel must have an even length.
+        tex: (B, H, W, C) float32, or (B, 6, N, N, C) if cube_mode is True. In every level except the last, sides longer
+            than 1 texel must have even lengths.
         max_mip_level: index of the last level. If None, all levels down to 1 x 1 are built.
         cube_mode: whether tex is a cube map.
         backend: as for :func:`texture`.
@@ -141,8 +139,8 @@ def _checked_filter(
     max_mip_level: int | None,
     backend: Backend,
 ) -> FilterMode:
-    """Check all arguments except ``mip``. Return the filter mode. "auto" is replaced by the mode for which it
-    stands."""
+    """Check all arguments except ``mip``. Return the filter mode, with "auto" replaced by the mode that it stands
+    for."""
     is_cube = boundary_mode == "cube"
     checks.check_modes(filter_mode, boundary_mode)
     checks.check_texture(tex, is_cube, backend)
@@ -160,7 +158,7 @@ def _levels(
     tex: Tensor, mip: Mip | Sequence[Tensor] | None, max_mip_level: int | None, backend: Backend, threads: int
 ) -> list[Tensor]:
     """Return the mip levels that the caller has given, or build them. Levels that are built for the kernels have no
-    gradient, because the operator adds the gradients of the levels to the gradient of tex."""
+    gradient, because the operator itself adds the gradients of the levels to that of ``tex``."""
     is_reference = select_backend(backend, "tex", tex) == "reference"
     if mip is None:
         level_count = checks.count_levels(tex, max_mip_level)

@@ -21,28 +21,29 @@ def edge_gradients(
     backend: Backend = "auto",
     threads: int = 0,
 ) -> Tensor:
-    """Return ``color`` unchanged. The backward pass adds a term to the gradient of ``pos``: the gradient that the
-    motion of visibility edges causes.
+    """Return ``color`` unchanged, with a backward pass that adds to the gradient of ``pos`` the effect of moving
+    visibility edges.
 
-    Unlike ``antialias``, this function gives gradients at visibility edges without changing the image. The method
-    follows Pidhorskyi et al. 2024, "Rasterized edge gradients". A visibility edge separates two neighbouring pixels
-    that show different triangles. Let c_1 and c_2 be the colours of the two pixels. If the edge moves by dt pixels from
-    the first pixel towards the second, one of the two pixels changes by dt * (c_1 - c_2). Because it is not known which
-    of the two pixels changes, the gradient is the mean of the gradients of both cases. A visibility edge is one of two
-    kinds: a silhouette edge of the nearer triangle, as in :func:`fourd.raster.triangles.antialias`, or the line along
-    which two triangles intersect. Edges whose angle to the segment between the pixel centres is below 45 degrees are
-    ignored.
+    Unlike ``antialias``, this function gives gradients at visibility edges without changing the image (Pidhorskyi et
+    al. 2024, "Rasterized edge gradients"). A visibility edge separates two neighbouring pixels that show different
+    triangles. It is either a silhouette edge of the nearer triangle, as in :func:`fourd.raster.triangles.antialias`, or
+    the line along which the two triangles intersect. Edges whose angle to the segment between the pixel centres is
+    below 45 degrees are ignored.
 
-    The result is differentiable in ``color`` and in x, y and w of ``pos``. The gradient of the result is passed to
-    ``color`` unchanged. At intersections, the result is also differentiable in z. The forward pass copies no data, and
-    the edges are found in the backward pass. On the CPU, gradients are bit-identical for any number of threads. On a
-    GPU, the last bits of the gradient of ``pos`` can differ between calls.
+    Let c_1 and c_2 be the colours of the two pixels. If the edge moves by dt pixels from the first pixel towards the
+    second, one of the two pixels changes by dt * (c_1 - c_2). It is not known which one, so the gradient is the mean
+    over both cases.
+
+    The result is differentiable in ``color``, which gets the gradient of the result unchanged, and in x, y and w of
+    ``pos``, and at intersections also in z. The forward pass copies no data; the backward pass finds the edges. On the
+    CPU, gradients are bit-identical for any number of threads. On a GPU, the last bits of the gradient of ``pos`` can
+    differ between calls.
 
     Args:
         color, rast, pos, tri, topology, backend, threads: see :func:`fourd.raster.triangles.antialias`.
 
     Returns:
-        (B, H, W, C) the values of ``color``, in the same memory.
+        The values of ``color`` (B, H, W, C), in the same memory.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.

@@ -1,4 +1,4 @@
-"""The styles that come with fourd, and the reading of style files."""
+"""The styles that come with fourd, and a loader for style files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def load_style(name: str) -> Style:
     """Load a preset by its name, or a style file. The path of a shade map is relative to the style file.
 
     Raises:
-        UserError: for an unknown name, an unknown key, a value out of range, or a shade map of another shape. The
+        UserError: for an unknown name, an unknown key, a value out of range, or a shade map of the wrong shape. The
             message names the file, the line and the key.
     """
     if name in PRESETS:

@@ -1,1 +1,1 @@
-"""The cameras of a run: their selection, and corrections that are learnt while training."""
+"""The cameras of a run: their selection, and their corrections that are learnt while training."""

@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 
 COLOURS = "colours.json"
 POWERS = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)
-"""Exponents for scaling the distortion coefficients: if the focal length is multiplied by z, OpenCV's i-th distortion
-coefficient is multiplied by z to the power POWERS[i]."""
+"""Exponents for scaling OpenCV's distortion coefficients: if the focal length is multiplied by z, the i-th coefficient
+is multiplied by ``z**POWERS[i]``."""
 
 
 def with_start_cameras(capture: Capture, folder: Path) -> Capture:
-    """The capture, with its cameras replaced by the start cameras of the run in ``folder``. Raises UserError if the run
-    has no start camera for one of the capture's cameras."""
+    """Replace the capture's cameras by the start cameras of the run in ``folder``. Raises UserError if the run has no
+    start camera for one of them."""
     start = folder / CALIBRATION / START
     if not (start / INTRINSICS_NAME).exists():
         raise UserError(f"{start}: expected the start cameras of the run, got no file; train in a new folder")
@@ -80,7 +80,7 @@ def write_corrected(folder: Path, capture: Capture, rig: Rig, below: str = "") -
 
 def _lens(lens: Camera, camera: Camera) -> Camera:
     """Return the distorted camera ``lens`` with the pose and the focal length of ``camera``. The distortion
-    coefficients are scaled to match the new focal length, so that undistorting an image gives the same result as with
+    coefficients are scaled to the new focal length, so that undistorting an image gives the same result as with
     ``lens``."""
     whole = camera.resize(lens.width, lens.height)
     zoom = whole.intrinsics[1, 1] / lens.intrinsics[1, 1]
@@ -89,12 +89,11 @@ def _lens(lens: Camera, camera: Camera) -> Camera:
 
 
 def zoomed_distortion(distortion: NDArray[np.float64], zoom: float) -> NDArray[np.float64]:
-    """Adapt OpenCV's distortion coefficients to a focal length that is multiplied by ``zoom``. With the new focal
-    length, the returned coefficients displace each pixel by the same amount as the given coefficients with the old
-    focal length.
+    """Adapt OpenCV's distortion coefficients to a focal length that is multiplied by ``zoom``, so that they displace
+    each pixel by the same amount as before.
 
-    The coefficients of sensor tilt are not scaled. For lenses with sensor tilt, the returned coefficients are therefore
-    exact only if ``zoom`` is 1.
+    The coefficients of sensor tilt are not scaled, so for lenses with sensor tilt, the result is exact only if ``zoom``
+    is 1.
     """
     powers = np.array([*POWERS, 0, 0])[: len(distortion)]
     return distortion * zoom**powers

@@ -2,8 +2,8 @@
 
 The renderers treat cameras as constants: they compute no gradient with respect to the camera parameters. A camera
 correction instead gets its gradient through the positions of the rendered points. Each position is replaced by a
-differentiable function of the correction. The value of the function is the unchanged position. The derivative of the
-function is the motion of the point relative to the camera when the correction changes.
+differentiable function of the correction, whose value is the unchanged position. Its derivative is the motion of the
+point relative to the camera when the correction changes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ IDENTITY = torch.eye(3, 4)
 
 @dataclass(frozen=True)
 class _GivenPose:
-    """A camera before its correction: its pose, R (3, 3) and T (3,) in float64, and its distance from the scene's
+    """A camera before its correction: the pose R (3, 3) and T (3,) in float64, and the distance from the scene's
     centre."""
 
     rotation: Tensor
@@ -39,11 +39,11 @@ class Refinement(nn.Module):
     """Pose, focal and colour corrections of each training camera. All corrections are initially zero.
 
     A pose correction consists of a rotation vector in radians and a translation along the camera's axes. The
-    translation is stored as a share of the camera's distance from the scene's centre. A focal correction is the
+    translation is stored as a fraction of the camera's distance from the scene's centre. A focal correction is the
     logarithm of the factor that scales the focal length. A colour correction is the difference between an affine colour
     map and the identity. Each camera has separate parameter tensors, so that a step on one camera leaves the optimizer
-    state of other cameras unchanged. The corrections stay on the CPU if the scene is trained on a GPU, because the
-    cameras are computed on the CPU.
+    state of the others unchanged. Even if the scene is trained on a GPU, the corrections stay on the CPU, because
+    cameras are computed there.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class Refinement(nn.Module):
         """Create corrections that leave every camera unchanged.
 
         Args:
-            config: the corrected quantities, their standard deviations and their learning rates.
+            config: which quantities are corrected, and their standard deviations and learning rates.
             given: all cameras of the capture, before correction.
             training: indices of the cameras that are corrected.
             focus: (3,) the scene's centre in world units.
@@ -75,7 +75,7 @@ class Refinement(nn.Module):
         ]
 
     def parameter_groups(self) -> list[dict[str, object]]:
-        """Parameter groups with their learning rates, for the optimizer."""
+        """Return the parameter groups with their learning rates, for the optimizer."""
         config = self.config
         rates = (
             (self.poses, config.pose_rate),
@@ -86,7 +86,7 @@ class Refinement(nn.Module):
 
     @torch.no_grad()
     def rig(self) -> Rig:
-        """All cameras, with the current corrections applied."""
+        """Return all cameras, with the current corrections applied."""
         cameras = list(self.given)
         for index in self.places if self.config.cameras else ():
             cameras[index] = self._corrected_camera(index)
@@ -110,7 +110,7 @@ class Refinement(nn.Module):
         return recolour(self._colour_map(index).to(rgb), rgb, alpha) if self.config.colours else rgb
 
     def penalty(self, index: int) -> Tensor:
-        """Scalar sum of (correction / standard deviation)^2 over all corrections of a camera."""
+        """Compute the sum of (correction / standard deviation)^2 over all corrections of a camera, as a scalar."""
         place, config = self.places[index], self.config
         total = torch.zeros(())
         if len(self.poses):
@@ -124,8 +124,8 @@ class Refinement(nn.Module):
         return total
 
     def _corrected_pose(self, index: int) -> tuple[Tensor, Tensor]:
-        """The corrected R (3, 3) and T (3,) of a camera, as float64 tensors that are differentiable with respect to the
-        camera's correction."""
+        """Compute the corrected R (3, 3) and T (3,) of a camera, as float64 tensors that are differentiable with
+        respect to its correction."""
         given = self._given_poses[index]
         if not len(self.poses):
             return given.rotation, given.translation
@@ -153,14 +153,14 @@ class Refinement(nn.Module):
         return replace(cloud, xyz=xyz + (in_camera - in_camera.detach()) @ rotation.detach(), radius=radius)
 
     def _colour_map(self, index: int) -> Tensor:
-        """A camera's affine colour map (3, 4). A colour change that all cameras share belongs to the scene. The mean of
-        the colour maps of all training cameras is therefore kept at the identity."""
+        """Compute a camera's affine colour map (3, 4). The mean map of all training cameras is kept at the identity,
+        because a colour change that all cameras share belongs to the scene."""
         mean = torch.stack([tint.detach() for tint in self.tints]).mean(dim=0)
         return IDENTITY + self.tints[self.places[index]] - mean
 
 
 def _cross_product_matrix(vector: Tensor) -> Tensor:
-    """The (3, 3) matrix M of the cross product with ``vector`` v: M w = v x w for all w."""
+    """Return the (3, 3) matrix M of the cross product with ``vector`` v: M w = v x w for all w."""
     x, y, z = vector
     zero = torch.zeros_like(x)
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)

@@ -17,7 +17,7 @@ class Rig:
     Attributes:
         cameras: pinhole cameras, in the capture's order.
         colours: (V, 3, 4) affine map ``M @ rgb + offset`` from the scene's colours to each camera's colours. The offset
-            is the last column of each map. If ``colours`` is None, all cameras show the scene's colours unchanged.
+            is the last column of each map. If None, all cameras show the scene's colours unchanged.
     """
 
     cameras: tuple[Camera, ...]

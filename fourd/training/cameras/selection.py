@@ -1,4 +1,4 @@
-"""Selection of the cameras, frames and image scale that a run uses, and of the held-out cameras."""
+"""Select the cameras, frames and image scale that a run uses, and the held-out cameras."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ DECODED_MB = 32
 
 @dataclass(frozen=True)
 class DataSelection:
-    """The part of a capture that a run uses: views, frames and image scale. Each field has the same meaning as the
-    field of :class:`TrainConfig` with the same name."""
+    """The part of a capture that a run uses: views, frames and image scale. Each field has the meaning of the field of
+    :class:`TrainConfig` with the same name."""
 
     views: tuple[str, ...] | None = None
     test_views: tuple[str, ...] = ()
@@ -30,7 +30,7 @@ class DataSelection:
 
     @classmethod
     def of(cls, train: TrainConfig) -> DataSelection:
-        """The views, frames and image scale that a training config selects."""
+        """Return the views, frames and image scale that a training config selects."""
         return cls(train.views, train.test_views, train.frames, train.image_scale)
 
 
@@ -66,8 +66,7 @@ def open_run_views(path: Path, selection: DataSelection, run: Path | None = None
     Args:
         path: the capture's folder.
         selection: the views, frames and image scale to use.
-        run: folder of a run whose adjusted start cameras replace the capture's cameras; if None, the capture's cameras
-            are used.
+        run: folder of a run whose start cameras replace the capture's cameras; if None, the capture's cameras are used.
 
     Raises:
         UserError: a view or frame is unknown, there are fewer than two training views, or start cameras are missing.

@@ -1,4 +1,4 @@
-"""The process group that trains one model. torchrun calls each process of the group a rank."""
+"""The process group that trains one model. In torchrun's terms, each process of the group is a rank."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ BACKEND = "gloo"
 JOIN_SECONDS = 120.0
 """Maximum time in seconds to wait for an answer from the address of rank 0."""
 WAIT = timedelta(days=7)
-"""Maximum time for which a rank waits for the other ranks. The time is long, because the other ranks wait while rank 0
-carves the visual hull. A rank that fails does not keep the others waiting, because torchrun then ends all ranks."""
+"""Maximum time for which a rank waits for the other ranks. It is long because they wait while rank 0 carves the visual
+hull. If a rank fails, the others do not wait for it, because torchrun ends all ranks."""
 
 RATE_EXPONENT = 0.5
-"""With W ranks, the learning rates of dense parameters are multiplied by W to the power of this exponent."""
+"""The learning rates of dense parameters are multiplied by the number of ranks to the power of this exponent."""
 
 
 @dataclass(frozen=True)
 class ProcessGroup:
-    """The ranks that train one model together. A process that torchrun did not start forms a group of one rank, without
-    any communication.
+    """The ranks that train one model together. A process that torchrun did not start forms a group of one rank, which
+    does not communicate.
 
     In each update, every rank performs one training step on a view of one of its own frames. All ranks have the same
     dense parameters (networks, planes and corrections of cameras), because their gradients are averaged over the ranks
-    before each update. The points of a frame are stored and updated only by the rank that owns the frame, so points and
-    their gradients are never sent.
+    before each update. Points and their gradients are never sent, because the points of a frame are stored and updated
+    only by the rank that owns the frame.
 
-    torch's DistributedDataParallel is not used, because it requires one module that is called once per step. A training
-    step calls several methods of the model, and some parameters have a gradient only in some steps. The gradients of
-    all parameters are therefore averaged together in one all-reduce after the backward pass.
+    The gradients of all dense parameters are averaged in one all-reduce after the backward pass. torch's
+    DistributedDataParallel is not used, because it requires one module that is called once per step, whereas a training
+    step calls several methods of the model, and some parameters have a gradient only in some steps.
 
     Attributes:
         rank: number of this rank, from 0.
@@ -53,35 +53,36 @@ class ProcessGroup:
 
     @property
     def is_first(self) -> bool:
-        """Whether this rank writes logs and checkpoints."""
+        """True for rank 0, which writes logs and checkpoints."""
         return self.rank == 0
 
     def own_frames(self, frames: int) -> range:
-        """The indices of the frames that this rank owns. ``frames`` is the number of frames of all ranks together."""
+        """Return the indices of the frames that this rank owns. ``frames`` is the total number of frames of all
+        ranks."""
         return range(self.rank, frames, self.size)
 
     def first_ranks_frame(self, frame: int) -> int:
-        """The index of the last frame that rank 0 owns, among the frames up to and including the index ``frame``."""
+        """Return the index of the last frame that rank 0 owns, up to and including the index ``frame``."""
         return frame - frame % self.size
 
     @property
     def rate_factor(self) -> float:
-        """Factor that multiplies the learning rates of dense parameters. The factor compensates for the smaller number
-        of updates: with W ranks, W views together give only one update."""
+        """Factor that multiplies the learning rates of dense parameters. It compensates for the smaller number of
+        updates, because the views of all ranks together give only one update."""
         return self.size**RATE_EXPONENT
 
     @torch.no_grad()
     def average_gradients(self, parameters: Iterable[Tensor]) -> None:
         """Replace each gradient by its mean over all ranks. If only some ranks have a gradient of a parameter, the
-        missing gradients are treated as zero. If no rank has a gradient of a parameter, the parameter remains without a
-        gradient, so that its optimizer state does not change.
+        missing gradients count as zero. If no rank has one, the parameter remains without a gradient, so that its
+        optimizer state does not change.
 
         All ranks must pass the same parameters in the same order. All parameters must have the same dtype.
         """
         if self.size == 1:
             return
         listed = list(parameters)
-        # The backend gloo sends only tensors in CPU memory. Gradients on a GPU are therefore copied to the CPU.
+        # Gradients on a GPU are copied to the CPU, because the backend gloo sends only tensors in CPU memory.
         parts = [(torch.zeros_like(each) if each.grad is None else each.grad).cpu() for each in listed]
         has_gradient = torch.tensor([each.grad is not None for each in listed]).to(parts[0])
         sums = torch.cat([*(part.flatten() for part in parts), has_gradient])
@@ -101,11 +102,11 @@ class ProcessGroup:
             each.data.copy_(value)
 
     def longest(self, seconds: float) -> float:
-        """The maximum of ``seconds`` over all ranks."""
+        """Return the maximum of ``seconds`` over all ranks."""
         return self._maximum(seconds)
 
     def any(self, is_true: bool) -> bool:
-        """Whether the argument is true on at least one rank."""
+        """Return true if the argument is true on at least one rank."""
         return self._maximum(float(is_true)) > 0
 
     def barrier(self) -> None:
@@ -115,8 +116,8 @@ class ProcessGroup:
                 dist.barrier()
 
     def require_same(self, what: str, text: str) -> None:
-        """End all ranks if the text of any rank differs from the text of rank 0. The message contains ``what`` (a name
-        of the text), the rank with the different text, and the first line that differs. All ranks call this method.
+        """End all ranks if the text of any rank differs from that of rank 0. The error message contains ``what`` (a
+        name for the text), the rank whose text differs, and the first different line. All ranks call this method.
         """
         if self.size == 1:
             return
@@ -147,7 +148,7 @@ class ProcessGroup:
 
     @contextmanager
     def _all_ranks(self) -> Iterator[None]:
-        """Run the ``with`` block, in which the ranks communicate. Raise UserError if another rank ends meanwhile."""
+        """Run the ``with`` block, in which the ranks communicate. Raises UserError if another rank ends meanwhile."""
         try:
             yield
         except RuntimeError as error:
@@ -165,7 +166,7 @@ class ProcessGroup:
         return float(result)
 
     def _broadcast_text(self, text: str, source: int) -> str:
-        """Return the text of the rank ``source``."""
+        """Send the text of the rank ``source`` to all ranks, and return it."""
         content = torch.frombuffer(bytearray(text.encode() or b" "), dtype=torch.uint8)
         length = torch.tensor([len(content)])
         with self._all_ranks():
@@ -184,12 +185,12 @@ ALONE = ProcessGroup()
 def join_process_group() -> Iterator[ProcessGroup]:
     """Join the ranks that torchrun has started, for the duration of the ``with`` block.
 
-    torchrun describes the ranks in the environment variables RANK, WORLD_SIZE, MASTER_ADDR and MASTER_PORT. Without
-    these variables, the group has one rank.
+    torchrun describes the ranks in the environment variables RANK, WORLD_SIZE, MASTER_ADDR and MASTER_PORT. If these
+    are not set, the group has one rank.
 
     Raises:
-        UserError: if the address of rank 0 does not answer. If the block raises a UserError on a rank other than 0, the
-            message also contains the number of the rank and the name of its machine.
+        UserError: if the address of rank 0 does not answer. A UserError that the block raises on another rank is raised
+            again, with the number of the rank and the name of its machine.
     """
     if rank_count() == 1:
         yield ALONE

@@ -1,1 +1,1 @@
-"""Rendering of trained scenes, image metrics, and scores of held-out views."""
+"""Render trained scenes, compute image metrics, and score held-out views."""

@@ -1,11 +1,13 @@
-"""Alignment of held-out cameras to a trained scene, based on the cameras' own images. The alignment is needed to
-evaluate scenes that were trained with camera refinement.
+"""Align held-out cameras to a trained scene by means of their own images, to evaluate scenes that were trained with
+camera refinement.
 
 Camera refinement changes the poses of the training cameras, and the scene moves with them. A held-out camera is not
-refined during training, so its pose does not fit the scene exactly. For the same reason, BARF (Lin et al., ICCV 2021,
-sec. 4.2) optimises each test camera against the frozen scene before it computes metrics. This module uses direct image
-alignment with the rendered depth (Lucas and Kanade 1981), first on blurred and then on sharper images. The image
-gradient is the mean of the gradients of the rendered and the true image (Benhimane and Malis, IROS 2004).
+refined during training, so its pose does not fit the scene exactly. For this reason, BARF (Lin et al., ICCV 2021, sec.
+4.2) also optimises each test camera against the frozen scene before it computes metrics.
+
+This module uses direct image alignment with the rendered depth (Lucas and Kanade 1981), first on blurred and then on
+sharper images. The image gradient is the mean of the gradients of the rendered and the true image (Benhimane and Malis,
+IROS 2004).
 """
 
 from __future__ import annotations
@@ -34,12 +36,12 @@ INITIAL_DAMPING = 1e-3
 MAX_FRAMES = 3
 CONVERGED = 3e-5
 """Convergence threshold: the optimization at a blur level ends when all six components of a step are smaller than this
-value. The three rotation components are in radians. The three translation components are shares of the camera's
-distance from the scene's centre."""
+value. The rotation components are in radians, and the translation components are fractions of the camera's distance
+from the scene's centre."""
 MIN_ALPHA = 0.02
 COLOUR_REGULARISATION = 1e-3
-"""Regularisation weight per pixel in the least-squares fit of the colour map. The regularisation penalises the squared
-difference between the colour map and the identity."""
+"""Regularisation weight per pixel in the least-squares fit of the colour map. It penalises the squared difference
+between the colour map and the identity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,8 +114,8 @@ class _Alignment:
     def optimize(self, camera: Camera, blur_px: float) -> Camera:
         """Optimise the camera with Levenberg-Marquardt on images blurred by ``blur_px``.
 
-        Because the camera moves little during the optimization, the points' colours are evaluated only once, as seen by
-        the given ``camera``.
+        The points' colours are evaluated only once, as seen by the given ``camera``, because the camera moves little
+        during the optimization.
         """
         for frame in self.selected:
             self.clouds[frame] = self.renderer.evaluate(self.frames.get(frame), frame, camera, self.index)
@@ -164,8 +166,8 @@ class _Alignment:
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """A blurred rendered image and a blurred true image (H, W, 3), with the rendered alpha and depth (H, W). Depth is 0
-    where there is no surface."""
+    """A rendered image and a true image (H, W, 3), both blurred, with the rendered alpha and depth (H, W). The depth is
+    0 where there is no surface."""
 
     rgb: Floats
     alpha: Floats
@@ -175,8 +177,8 @@ class _Pair:
 
 
 def _jacobian(shown: Floats, pair: _Pair, distance: float) -> Floats:
-    """Derivative (6, H, W, 3) of the image with respect to rotation (in radians) and translation (in multiples of
-    ``distance``)."""
+    """Compute the derivative (6, H, W, 3) of the image with respect to rotation (in radians) and translation (in
+    multiples of ``distance``)."""
     height, width = pair.depth.shape
     rows, columns = np.indices((height, width)) + 0.5
     k = pair.camera.intrinsics
@@ -202,7 +204,7 @@ def _blur(picture: Floats, sigma_px: float) -> Floats:
 
 
 def _fit_colours(pairs: Sequence[_Pair]) -> Floats:
-    """Affine colour map (3, 4) from rendered to true images, fitted by regularised least squares."""
+    """Fit an affine colour map (3, 4) from rendered to true images by regularised least squares."""
     matrix, right, count = np.zeros((4, 4)), np.zeros((4, 3)), 0
     for pair in pairs:
         given = np.concatenate([pair.rgb, pair.alpha[..., None]], axis=-1).reshape(-1, 4).astype(np.float64)

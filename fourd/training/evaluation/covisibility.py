@@ -1,8 +1,8 @@
-"""Pixels of a held-out view whose surface is visible in a training view.
+"""Find the pixels of a held-out view whose surface is visible in a training view.
 
-If no training view shows a surface, its colours can only be guessed. The PSNR without the pixels of such surfaces is
-the masked PSNR (mPSNR) of Gao et al., "Monocular Dynamic View Synthesis: A Reality Check" (2022). Gao et al. compute
-visibility from optical flow. fourd computes it from the rendered depth of the static background.
+The colours of surfaces that no training view shows can only be guessed. The PSNR without their pixels is the masked
+PSNR (mPSNR) of Gao et al., "Monocular Dynamic View Synthesis: A Reality Check" (2022). Gao et al. compute visibility
+from optical flow, whereas fourd computes it from the rendered depth of the static background.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Mask = NDArray[np.bool_]
 def covisible_masks(
     renderer: ModelRenderer, evaluated: dict[int, Camera], layers: int, track: Track = untracked
 ) -> dict[int, Mask]:
-    """For each evaluated camera, the mask (H, W) of the pixels whose background is visible in a training view.
+    """Compute, for each evaluated camera, the mask (H, W) of the pixels whose background is visible in a training view.
 
     Args:
         renderer: the renderer of a full scene.
@@ -48,7 +48,7 @@ def covisible_masks(
 
 
 def visible_in_any(camera: Camera, depth: Depth, cameras: Sequence[Camera], depths: Sequence[Depth]) -> Mask:
-    """Mask (H, W) of the pixels of ``camera`` whose surface is visible in at least one of ``cameras``.
+    """Compute the mask (H, W) of the pixels of ``camera`` whose surface is visible in at least one of ``cameras``.
 
     Args:
         camera: the evaluated camera, without lens distortion.
@@ -75,7 +75,7 @@ def visible_in_any(camera: Camera, depth: Depth, cameras: Sequence[Camera], dept
 def covisible_psnr(
     picture: NDArray[np.float32], truth: NDArray[np.float32], matte: NDArray[np.uint8], covisible: Mask
 ) -> float | None:
-    """PSNR in dB over one set of pixels: those whose background is visible in a training view, and those of the
+    """Compute the PSNR in dB over the pixels whose background is visible in a training view and the pixels of the
     subject.
 
     Args:
@@ -85,7 +85,7 @@ def covisible_psnr(
         covisible: (H, W) mask of :func:`covisible_masks`.
 
     Returns:
-        The PSNR, or None if the set of pixels is empty.
+        The PSNR, or None if there are no such pixels.
     """
     mask = covisible | (matte >= SUBJECT)
     return float(psnr(picture, truth, mask)) if mask.any() else None

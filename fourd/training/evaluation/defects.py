@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 CONTOUR_PX = 1.5
-"""Pixels that are at most this distance, in pixels, from the matte's contour belong to the class "contour"."""
+"""Pixels at most this far from the matte's contour, in pixels, belong to the class "contour"."""
 NEAR_PX = 4.0
-"""Pixels inside the matte, more than CONTOUR_PX and at most NEAR_PX from the contour, belong to the class "near".
-Pixels farther inside belong to the class "inside"."""
+"""Pixels inside the matte belong to the class "near" if they are more than CONTOUR_PX and at most NEAR_PX from the
+contour, and to the class "inside" if they are farther from it."""
 WRONG_ALPHA = 0.3
 """Minimum difference between rendered alpha and matte at which the alpha is classified as wrong."""
 SPECK_ERROR = 0.15
@@ -31,8 +31,8 @@ Image = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class ContourErrors:
-    """Shares in [0, 1] of an image's summed squared error. The pixels are divided into four classes by their distance
-    from the matte's contour, and the four shares add up to 1.
+    """Fractions in [0, 1] of an image's summed squared error that fall on four classes of pixels, by their distance
+    from the matte's contour. The fractions add up to 1.
 
     Attributes:
         contour: at most CONTOUR_PX from the contour, on either side.
@@ -48,7 +48,8 @@ class ContourErrors:
 
 
 def contour_errors(prediction: Image, truth: Image, matte: NDArray[np.uint8]) -> ContourErrors:
-    """Shares of the squared error between images (H, W, 3) in [0, 1], by distance to the contour of a matte (H, W)."""
+    """Compute which fractions of the squared error between images (H, W, 3) in [0, 1] fall on the four classes of
+    pixels around the contour of a matte (H, W)."""
     error = np.square(prediction - truth).sum(axis=-1)
     solid = (matte > 127).astype(np.uint8)
     inside = cv2.distanceTransform(solid, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
@@ -68,11 +69,11 @@ def contour_errors(prediction: Image, truth: Image, matte: NDArray[np.uint8]) ->
 
 @dataclass(frozen=True)
 class SilhouetteErrors:
-    """Shares in [0, 1] of an image's summed squared error that are due to pixels with a wrong alpha.
+    """Fractions in [0, 1] of an image's summed squared error that fall on pixels with a wrong alpha.
 
     Attributes:
-        excess: share of the error where the rendered alpha exceeds the matte by more than WRONG_ALPHA.
-        missing: share of the error where the rendered alpha is below the matte by more than WRONG_ALPHA.
+        excess: fraction of the error where the rendered alpha exceeds the matte by more than WRONG_ALPHA.
+        missing: fraction of the error where the rendered alpha is below the matte by more than WRONG_ALPHA.
     """
 
     excess: float
@@ -82,7 +83,7 @@ class SilhouetteErrors:
 def silhouette_errors(
     prediction: Image, truth: Image, alpha: NDArray[np.float32], matte: NDArray[np.uint8]
 ) -> SilhouetteErrors:
-    """Shares of the squared error at pixels where the rendered silhouette is too large or too small.
+    """Compute the fractions of the squared error at pixels where the rendered silhouette is too large or too small.
 
     Args:
         prediction: (H, W, 3) colours in [0, 1].
@@ -98,10 +99,10 @@ def silhouette_errors(
 
 
 def speck_pixels(prediction: Image, truth: Image) -> NDArray[np.bool_]:
-    """Mask (H, W), true for the pixels that belong to specks.
+    """Return a mask (H, W) that is true for the pixels that belong to specks.
 
-    A speck is a connected region of at most SPECK_AREA_PX pixels with errors above SPECK_ERROR. At least
-    MIN_SPECK_NEIGHBOURS of the eight neighbours of each pixel in the region have errors of at most SPECK_ERROR.
+    A speck is a connected region of at most SPECK_AREA_PX wrong pixels, whose errors exceed SPECK_ERROR. Of its pixels,
+    only those with at least MIN_SPECK_NEIGHBOURS correct pixels among their eight neighbours are marked.
 
     Args:
         prediction: (H, W, 3) colours in [0, 1].
@@ -116,8 +117,7 @@ def speck_pixels(prediction: Image, truth: Image) -> NDArray[np.bool_]:
 
 
 def jump_ratio(images: Sequence[Image]) -> float:
-    """The mean absolute difference is computed for each pair of successive images. The result is the largest difference
-    divided by the median difference.
+    """Compute the mean absolute differences of successive images, and divide the largest by the median.
 
     If the camera moves slowly in equal steps and the image changes smoothly, the ratio is close to 1.
 
@@ -129,7 +129,7 @@ def jump_ratio(images: Sequence[Image]) -> float:
 
 
 def flicker(predictions: Sequence[Image], truths: Sequence[Image]) -> float:
-    """Mean absolute error of the change of the image from one frame to the next, for a camera that does not move.
+    """Compute the mean absolute error of the image change from one frame to the next, for a camera that does not move.
 
     Args:
         predictions: at least 2 images (H, W, 3) of successive frames.

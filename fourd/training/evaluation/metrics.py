@@ -11,7 +11,7 @@ from fourd.ops.similarity.reference import check_image_pair, structural_similari
 
 
 def psnr(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike, mask: Tensor | ArrayLike | None = None) -> Tensor:
-    """Peak signal-to-noise ratio in dB for images with peak value 1. The ratio is infinite for equal images.
+    """Compute the peak signal-to-noise ratio in dB for images with peak value 1. It is infinite for equal images.
 
     Args:
         prediction: floating-point image (..., C), torch or NumPy.
@@ -39,7 +39,8 @@ def psnr(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike, mask: Tenso
 
 
 def ssim(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike) -> Tensor:
-    """Structural similarity (Wang et al. 2004) with an 11 x 11 Gaussian window of sigma 1.5, for a data range of 1.
+    """Compute the structural similarity (Wang et al. 2004) with an 11 x 11 Gaussian window of sigma 1.5, for a data
+    range of 1.
 
     The result is the mean over channels and over the pixels whose window lies inside the image, as in
     ``skimage.metrics.structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False)``.
@@ -58,11 +59,12 @@ def ssim(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike) -> Tensor:
 
 
 def mask_box(mask: NDArray[np.uint8] | NDArray[np.bool_], margin: int = 8) -> tuple[int, int, int, int] | None:
-    """The bounding box of the object in a matte, extended by ``margin`` pixels on each side and clipped to the image.
+    """Compute the object's bounding box in a matte, extended by ``margin`` pixels on each side and clipped to the
+    image.
 
     Args:
-        mask: (H, W) matte, uint8 (255 on the object) or bool. Pixels above 127 belong to the object. The threshold
-            prevents faint noise of a soft matte from enlarging the box.
+        mask: (H, W) matte, uint8 (255 on the object) or bool. Pixels above 127 belong to the object; this threshold
+            prevents faint noise in a soft matte from enlarging the box.
         margin: margin around the object in pixels, 0 or more.
 
     Returns:

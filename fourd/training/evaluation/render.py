@@ -1,4 +1,4 @@
-"""Rendering of a trained scene from any camera, without gradients. Validation, evaluation and ``fourd render`` use this
+"""Render a trained scene from any camera, without gradients. Validation, evaluation and ``fourd render`` use this
 renderer."""
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ class ModelRenderer:
         Args:
             scene: the scene with its models and training images.
             training: indices of the training cameras.
-            focus: (3,) point in world units. Angles between cameras are measured at this point. The cameras with the
-                smallest angles to the viewing camera become the source views.
-            pixel_filter: weight of a neighbouring pixel in the filter of rendered images, from 0 to 0.25. With 0,
-                images are not filtered.
+            focus: (3,) point in world units at which angles between cameras are measured. The cameras with the smallest
+                angles to the viewing camera become the source views.
+            pixel_filter: weight of a neighbouring pixel in the filter of rendered images, from 0 to 0.25. If 0, images
+                are not filtered.
         """
         self.scene = scene
         self.training = training
@@ -78,15 +78,16 @@ class ModelRenderer:
             frame: index into the selected frames.
             camera: the viewing camera.
             layers: maximum number K of points that are composited at each pixel.
-            exclude: index of a camera that is not used as a source view. For a training view, pass the index of its
-                camera, so that the view is not blended from its own image.
+            exclude: index of a camera that is not used as a source view. To render a training view, pass the index of
+                its camera, so that the view is not blended from its own image.
         """
         return render_view(self.evaluate(points, frame, camera, exclude), camera, layers, self.pixel_filter)
 
     def evaluate(
         self, points: FramePoints, frame: int, camera: Camera, exclude: int | None = None
     ) -> list[RenderablePoints]:
-        """The renderable points of a frame for ``camera``. The arguments have the same meaning as in :meth:`render`."""
+        """Evaluate the renderable points of a frame for ``camera``. The arguments have the same meaning as in
+        :meth:`render`."""
         return self.scene.evaluate_frame(points, frame, camera, self._nearest(camera, exclude))
 
     def render_background(self, camera: Camera, layers: int, exclude: int | None = None) -> RenderedView:

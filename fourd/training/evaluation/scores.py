@@ -1,4 +1,4 @@
-"""Scores of held-out views: PSNR, SSIM and LPIPS on whole images and in the matte's bounding box."""
+"""Score held-out views by PSNR, SSIM and LPIPS, on whole images and in the matte's bounding box."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Scores:
 
 @dataclass(frozen=True)
 class ViewScores:
-    """Scores of one held-out image: for the whole image, and for the matte's bounding box extended by 8 pixels.
+    """Scores of one held-out image, for the whole image and for the matte's bounding box extended by 8 pixels.
 
     In a full scene, ``covisible`` is the PSNR in dB over the pixels whose surface is visible in a training view
     (fourd.training.evaluation.covisibility). In an object scene, it is None.
@@ -52,7 +52,7 @@ class Evaluation:
     covisible: float | None = None
 
     def to_json(self) -> dict[str, object]:
-        """The scores as plain data for a JSON file."""
+        """Return the scores as plain data for a JSON file."""
         return {
             "cameras": sorted({picture.camera for picture in self.pictures}),
             "frames": sorted({picture.frame for picture in self.pictures}),
@@ -66,8 +66,8 @@ class Evaluation:
 def score_view(
     prediction: NDArray[np.float32], truth: NDArray[np.float32], matte: NDArray[np.uint8], lpips: LPIPS | None
 ) -> tuple[Scores, Scores | None]:
-    """Scores of an image (H, W, 3) with values in [0, 1]: for the whole image, and for the matte's bounding box. The
-    scores of the bounding box are None if the matte is empty."""
+    """Score an image (H, W, 3) with values in [0, 1]. Returns the scores of the whole image and of the matte's bounding
+    box. The latter are None if the matte is empty."""
     predicted, expected = torch.from_numpy(prediction), torch.from_numpy(truth)
     box = mask_box(matte, margin=BOX_MARGIN_PX)
     if box is None:
@@ -78,7 +78,7 @@ def score_view(
 
 
 def summarize(pictures: Iterator[ViewScores] | list[ViewScores]) -> Evaluation:
-    """Means over images. The mean PSNR is the mean of the images' values in dB, as is usual in papers."""
+    """Average the scores over images. The mean PSNR is the mean of the images' values in dB, as is usual in papers."""
     scored = list(pictures)
     boxes = [picture.box for picture in scored if picture.box is not None]
     covisible = _mean_of([picture.covisible for picture in scored])

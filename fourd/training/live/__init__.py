@@ -1,6 +1,6 @@
-"""Small files in the folder ``live/`` of a run: the state of training for other programs, and requests from other
-programs to the training.
+"""Small files in a run's folder ``live/``: the state of the training process for other programs, and their requests to
+it.
 
-The files are the only connection between training and ``fourd serve``. Training opens no port, and does not wait for
+These files are the only connection between training and ``fourd serve``. Training opens no port and does not wait for
 other programs.
 """

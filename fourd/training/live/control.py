@@ -1,4 +1,4 @@
-"""Requests of other programs to a training. The run's file ``live/control.json`` contains the last request."""
+"""Requests of other programs to a training process. The run's file ``live/control.json`` contains the last request."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ ACTIONS: tuple[Action, ...] = get_args(Action)
 
 @dataclass(frozen=True)
 class ControlRequest:
-    """A request to a training.
+    """A request to a training process.
 
     Attributes:
-        session: the training to which the request is addressed, see :class:`fourd.training.live.state.TrainingState`.
-            Other trainings of the same run ignore the request.
-        action: what the training is asked to do. ``pause`` saves a checkpoint and waits, ``resume`` continues after a
+        session: the training session to which the request is addressed; see
+            :class:`fourd.training.live.state.TrainingState`. Other sessions of the same run ignore the request.
+        action: what training is asked to do: ``pause`` saves a checkpoint and waits, ``resume`` continues after a
             pause, ``save`` saves a checkpoint and continues, and ``stop`` saves a checkpoint and ends.
     """
 
@@ -42,7 +42,7 @@ def write_request(run: Path, request: ControlRequest) -> None:
 
 
 class ControlReader:
-    """Reads new requests to one training."""
+    """Reads new requests to one training session."""
 
     def __init__(self, run: Path, session: str) -> None:
         self._path = run / LIVE / CONTROL_NAME
@@ -50,7 +50,7 @@ class ControlReader:
         self._seen = self._version()
 
     def read(self) -> ControlRequest | None:
-        """The request to this training that was written since the last call, or None if there is none.
+        """Return the request to this session that was written since the last call, or None if there is none.
 
         If the file has not changed, this method only queries the file's status, which takes some microseconds.
 
@@ -73,8 +73,8 @@ class ControlReader:
         return request if request.session == self._session else None
 
     def _version(self) -> tuple[int, int, int] | None:
-        """Values that identify a version of the file: they change when the file is replaced. If there is no file, the
-        result is None."""
+        """Return values that identify the file's version, which change when the file is replaced, or None if there is
+        no file."""
         try:
             status = os.stat(self._path)
         except OSError:

@@ -1,4 +1,4 @@
-"""Connects the training loop with other programs, which watch the run and send requests to it."""
+"""Connect the training loop with other programs, which watch the run and send requests to it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ STATE_SECONDS = 1.0
 
 @dataclass(frozen=True)
 class StepCount:
-    """The progress of a training: completed steps, training time in seconds, and spent share of the budget."""
+    """Training progress: completed steps, training time in seconds, and the fraction of the budget that is spent."""
 
     step: int
     seconds: float
@@ -33,7 +33,7 @@ class StepCount:
 
 
 class NoSession:
-    """A session without files, with the methods of :class:`LiveSession`. All ranks except rank 0 use this class."""
+    """A session without files, with the methods of :class:`LiveSession`. All ranks except rank 0 use it."""
 
     wanted: Action | None = None
 
@@ -54,10 +54,10 @@ class NoSession:
 
 
 class LiveSession:
-    """A context manager that writes the state of a training and reads the requests to the training.
+    """A context manager that writes the state of training and reads the requests to it.
 
-    The state is written and requests are read between training steps. :meth:`show` and :meth:`look` do nothing if the
-    last write or read was too recent. If the state cannot be written, training continues without writing it.
+    The training loop calls :meth:`show` and :meth:`look` between steps; they do nothing if the last write or read was
+    too recent. If the state cannot be written, training continues without it.
 
     Attributes:
         wanted: the last request that was not yet answered, or None.
@@ -78,7 +78,7 @@ class LiveSession:
     def __enter__(self) -> LiveSession:
         with suppress(OSError):
             self._stack.enter_context(training_lock(self._run))
-        # Requests that were written before this session starts belong to earlier trainings.
+        # Requests that were written before this session starts belong to earlier sessions.
         self._requests = ControlReader(self._run, self._session)
         return self
 
@@ -101,7 +101,7 @@ class LiveSession:
         self.wanted = None
 
     def show(self, progress: StepCount, phase: Phase = "training") -> None:
-        """Write the state: at once if the phase has changed, otherwise at most once per second."""
+        """Write the state, at once if the phase has changed and otherwise at most once per second."""
         self._progress = progress
         now = time.monotonic()
         if phase == self._phase and now < self._next_write:

@@ -1,4 +1,4 @@
-"""The state of a training: the file ``live/state.json`` of the run, and a lock on the folder ``live/``."""
+"""The state of a training process: the run's file ``live/state.json``, and a lock on the folder ``live/``."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ MAX_STATE_BYTES = 1 << 14
 MAX_REASON = 500
 """Maximum number of characters of each text in a :class:`TrainingState`."""
 SILENT_SECONDS = 60.0
-"""The lock of a training on another machine, or on a system without locks, cannot be tested. Such a training is assumed
-to have ended if its last state is older than this number of seconds."""
+"""Maximum age, in seconds, of the last state of a training process that is assumed to be still running. The age is used
+only if the process's lock cannot be tested, because it runs on another machine or the system has no locks."""
 
 Phase = Literal["training", "paused", "finished", "stopped", "failed"]
 
 
 @dataclass(frozen=True)
 class TrainingState:
-    """The state of a training.
+    """The state of a training process.
 
     Attributes:
         session: identifies one call of the training loop. A resumed run has another session.
         host: name of the machine that trains.
-        phase: the current activity of the training, or how the training ended.
+        phase: the current activity of training, or how it ended.
         step: number of completed steps.
         seconds: training time in seconds, without pauses.
-        spent: spent share of the budget, in [0, 1].
+        spent: fraction of the budget that is spent, in [0, 1].
         max_steps: number of steps of the budget, or None.
         is_held_out: whether the validation views are held out from training.
         updated: time of this state, in seconds since 1970.
-        reason: the error of a failed training, otherwise an empty text.
+        reason: the error if training failed, otherwise an empty text.
     """
 
     session: str
@@ -65,7 +65,7 @@ class TrainingState:
 def write_state(run: Path, state: TrainingState) -> None:
     """Replace the state file of a run.
 
-    The file is replaced atomically but not synced to the disk. Syncing can take longer than a training step, and the
+    The file is replaced atomically but not synced to the disk. Syncing could take longer than a training step, and the
     state is not needed after a power failure.
     """
     path = run / LIVE / STATE_NAME
@@ -75,7 +75,7 @@ def write_state(run: Path, state: TrainingState) -> None:
 
 
 def read_state(run: Path) -> TrainingState | None:
-    """The last state of a run, or None if the state file is missing or damaged."""
+    """Read the last state of a run. Returns None if the state file is missing or damaged."""
     try:
         content = read_json(run / LIVE / STATE_NAME, MAX_STATE_BYTES)
     except (OSError, ValueError, UserError):
@@ -85,12 +85,12 @@ def read_state(run: Path) -> TrainingState | None:
 
 @contextmanager
 def training_lock(run: Path) -> Iterator[None]:
-    """Hold a lock by which other processes see that this process trains a run. The lock is held until the ``with``
-    block or the process ends.
+    """Hold a lock that shows other processes that this process trains a run, until the ``with`` block or the process
+    ends.
 
-    The lock is a shared flock on the folder ``live/``. The folder is created if it is missing. This lock does not
-    prevent a second training of the same run. A second training is prevented by another lock, on the run's own folder;
-    see :func:`fourd.processes.locked_folder`. On Windows, nothing is locked.
+    The lock is a shared flock on the folder ``live/``, which is created if it is missing. It does not prevent a second
+    process from training the same run, which is the purpose of the lock on the run's own folder; see
+    :func:`fourd.processes.locked_folder`. On Windows, nothing is locked.
     """
     folder = run / LIVE
     folder.mkdir(parents=True, exist_ok=True)
@@ -99,7 +99,7 @@ def training_lock(run: Path) -> Iterator[None]:
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
-        # The call waits, because a process that tests the lock holds it exclusively for some microseconds.
+        # The call may block for some microseconds while another process tests the lock by holding it exclusively.
         with suppress(OSError):
             fcntl.flock(descriptor, fcntl.LOCK_SH)
         yield
@@ -108,7 +108,7 @@ def training_lock(run: Path) -> Iterator[None]:
 
 
 def is_training(run: Path, state: TrainingState) -> bool:
-    """Whether the process that wrote ``state`` still trains the run or has paused the training."""
+    """Return true if the process that wrote ``state`` still trains the run or has paused training."""
     if state.phase not in ("training", "paused"):
         return False
     # On shared storage, a machine may not see the locks of other machines.
@@ -117,7 +117,7 @@ def is_training(run: Path, state: TrainingState) -> bool:
 
 
 def _is_locked(folder: Path) -> bool | None:
-    """Whether a training holds the lock on ``folder``, or None if the system has no locks."""
+    """Return true if a training process holds the lock on ``folder``, or None if the system has no locks."""
     if sys.platform == "win32":
         return None
     try:

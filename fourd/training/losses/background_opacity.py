@@ -17,20 +17,20 @@ from fourd.training.losses.term import RenderedStep
 from fourd.training.rendering import NEAR, visible_points
 
 LAYERS = 64
-"""Maximum number of points that are composited at each pixel. At any pixel, fewer points than this maximum overlap,
-even on a floor viewed at a grazing angle. With too few layers, some transmittance would remain after the last layer,
-and training would enlarge the discs until even more discs overlap."""
+"""Maximum number of points that are composited at each pixel. Fewer points than this overlap at any pixel, even on a
+floor viewed at a grazing angle. If the maximum were too small, some transmittance would remain after the last layer,
+and training would enlarge the discs, so that even more of them overlap."""
 MAX_LATERAL_OFFSET = 0.15
-"""Maximum distance of a viewpoint from the line between two cameras, as a share of the line's length."""
+"""Maximum distance of a viewpoint from the line between two cameras, as a fraction of the line's length."""
 RNG_STREAM = 4
-"""Number of the random stream that this loss uses. No other random stream of a run has the same number. The loss draws
-its random numbers from ``default_rng([seed, RNG_STREAM, step])``."""
+"""Number of this loss's random stream, which no other random stream of a run has. The loss draws its random numbers
+from ``default_rng([seed, RNG_STREAM, step])``."""
 
 
 @dataclass(frozen=True, eq=False)
 class BackgroundOpacityTerm:
-    """Mean squared transmittance of the background from an interpolated viewpoint. The term applies to steps whose
-    target is a plate."""
+    """Mean squared transmittance of the background from an interpolated viewpoint. Applies to steps whose target is a
+    clean plate."""
 
     weight: float
     background: StaticBackground
@@ -49,8 +49,8 @@ class BackgroundOpacityTerm:
 
 
 def interpolate_viewpoint(camera: Camera, others: Sequence[Camera], side_px: int, rng: np.random.Generator) -> Camera:
-    """Move ``camera`` to a random point near the line to another camera, which is chosen at random from ``others``. The
-    image of the moved camera is cropped to at most ``side_px`` x ``side_px`` pixels."""
+    """Move ``camera`` to a random point near the line to a camera that is chosen at random from ``others``. The moved
+    camera's image is cropped to at most ``side_px`` x ``side_px`` pixels."""
     line = others[int(rng.integers(len(others)))].centre - camera.centre
     offset = rng.normal(size=3)
     offset *= MAX_LATERAL_OFFSET * np.linalg.norm(line) * rng.random() / np.linalg.norm(offset)
@@ -61,11 +61,11 @@ def interpolate_viewpoint(camera: Camera, others: Sequence[Camera], side_px: int
 
 
 def mean_squared_transmittance(background: StaticBackground, viewer: Camera, hidden_weight: float) -> Tensor:
-    """Mean of (1 - alpha)^2 over an image of the background. Only the parameters of the background's model get a
-    gradient.
+    """Compute the mean of (1 - alpha)^2 over an image of the background. Only the parameters of the background's model
+    get a gradient.
 
-    Point positions get no gradient, because the plates determine the positions. Points whose compositing weight is at
-    most ``hidden_weight`` at all pixels are skipped; see :func:`visible_points`.
+    Point positions get no gradient, because the clean plates determine them. Points whose compositing weight is at most
+    ``hidden_weight`` at all pixels are skipped; see :func:`visible_points`.
     """
     points = background.points
     rows = visible_points([points], viewer, LAYERS, hidden_weight)[0]

@@ -1,4 +1,4 @@
-"""High-SH term: penalises large SH coefficients of the degrees 2 and 3."""
+"""High-SH term: penalises large SH coefficients of degrees 2 and 3."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from fourd.training.losses.term import RenderedStep
 
 @dataclass(frozen=True)
 class HighShTerm:
-    """Mean squared SH coefficient of the degrees 2 and 3, over the visible foreground points.
+    """Mean squared SH coefficient of degrees 2 and 3, over the visible foreground points.
 
-    A point is seen by few training views and has 16 coefficients for each colour channel. Without a penalty, the
-    coefficients of high degrees reproduce errors of the image-based colour in single views, and new views become worse.
+    The penalty improves novel views. Because few training views see a point, its 16 coefficients per colour channel can
+    overfit: those of high degrees would learn to compensate errors of the image-based colour in single views.
     """
 
     weight: float

@@ -1,6 +1,6 @@
 """LPIPS, the learned perceptual distance (Zhang et al. 2018), version 0.1 on VGG-16.
 
-The network is defined here, and not imported from torchvision, because torchvision cannot be installed on some
+The network is defined here instead of being imported from torchvision, because torchvision cannot be installed on some
 machines. The user provides files with the weights of torchvision's VGG-16 and of the linear heads of the ``lpips``
 package.
 """
@@ -23,14 +23,14 @@ from torch.nn import functional
 from fourd.errors import UserError
 from fourd.limits import require_regular
 
-# Number of output channels of each convolution of VGG-16. A pooling layer follows each group of convolutions except the
+# Number of output channels of each VGG-16 convolution. A pooling layer follows each group of convolutions except the
 # last one.
 GROUPS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
-# Mean and standard deviation of the colours of ImageNet images, scaled to [-1, 1]. The LPIPS heads were trained with
-# images that are normalised by this mean and standard deviation.
+# Mean and standard deviation of the colours of ImageNet images, scaled to [-1, 1]. The LPIPS heads were trained on
+# images that are normalised with them.
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
-# Images with a shorter side would have size 0 after four pooling layers.
+# Images with a shorter side would have size 0 after the four pooling layers.
 MIN_SIDE_PX = 16
 SUFFIXES = (".pth", ".pt", ".safetensors")
 VGG_NAME = "vgg16-397923af.pth"
@@ -75,7 +75,7 @@ class LPIPS(nn.Module):
         self.eval()
 
     def forward(self, prediction: Tensor, target: Tensor) -> Tensor:
-        """The distance between two images, or the distances between corresponding images of two batches.
+        """Compute the distance between two images, or the distances between corresponding images of two batches.
 
         Args:
             prediction: (H, W, 3) or (B, 3, H, W), images in [0, 1], floating point. Sides below 16 pixels are extended
@@ -99,7 +99,8 @@ class LPIPS(nn.Module):
         return distance[0] if single else distance
 
     def _features(self, images: Tensor) -> list[Tensor]:
-        """Activations relu1_2, relu2_2, relu3_3, relu4_3 and relu5_3 of VGG-16 for images (B, 3, H, W) in [0, 1]."""
+        """Compute VGG-16's activations relu1_2, relu2_2, relu3_3, relu4_3 and relu5_3 for images (B, 3, H, W) in [0,
+        1]."""
         right, bottom = (max(MIN_SIDE_PX - side, 0) for side in (images.shape[3], images.shape[2]))
         if right or bottom:
             images = functional.pad(images, (0, right, 0, bottom), mode="replicate")
@@ -123,7 +124,7 @@ def load_lpips(path: Path | None) -> LPIPS | None:
             the heads are used.
 
     Returns:
-        The network on the CPU, or None if ``path`` is None and a part of the weights is missing.
+        The network on the CPU, or None if ``path`` is None and some weights are missing.
 
     Raises:
         UserError: the path does not exist, a file cannot be read, or a weight has a wrong name or shape.
@@ -149,8 +150,8 @@ def load_lpips(path: Path | None) -> LPIPS | None:
 
 
 def expected_shapes() -> dict[str, tuple[int, ...]]:
-    """Names and shapes of all weights of the network. The convolutions have the names ``features.N.weight`` and
-    ``features.N.bias`` with torchvision's layer numbers N. The heads have the names ``linN``."""
+    """Return the names and shapes of all network weights: ``features.N.weight`` and ``features.N.bias`` for the
+    convolutions, with torchvision's layer numbers N, and ``linN`` for the heads."""
     shapes: dict[str, tuple[int, ...]] = {}
     inputs = 3
     widths = [width for group in GROUPS for width in group]
@@ -163,8 +164,8 @@ def expected_shapes() -> dict[str, tuple[int, ...]]:
 
 
 def _feature_numbers() -> list[int]:
-    """Layer numbers of the convolutions in torchvision's VGG-16. A ReLU follows each convolution, and a pooling layer
-    follows each group of convolutions."""
+    """Compute the layer numbers of the convolutions in torchvision's VGG-16, in which a ReLU follows each convolution
+    and a pooling layer follows each group of convolutions."""
     numbers, number = [], 0
     for group in GROUPS:
         numbers += [number + 2 * index for index in range(len(group))]
@@ -192,7 +193,7 @@ def _default_vgg_files() -> list[Path]:
 
 
 def _default_head_files() -> list[Path]:
-    """Paths of the LPIPS heads in the installed packages lpips and torchmetrics. This function does not import the
+    """Return the paths of the LPIPS heads in the installed packages lpips and torchmetrics, without importing these
     packages."""
     inside = {"lpips": "weights/v0.1/vgg.pth", "torchmetrics": "functional/image/lpips_models/vgg.pth"}
     specs = [(importlib.util.find_spec(package), rest) for package, rest in inside.items()]
@@ -200,7 +201,7 @@ def _default_head_files() -> list[Path]:
 
 
 def _read(file: Path) -> dict[str, Tensor]:
-    """Read LPIPS weights from a file. Return float32 tensors by name, with the names that :func:`expected_shapes`
+    """Read LPIPS weights from a file. Returns float32 tensors by name, with the names that :func:`expected_shapes`
     lists. Raises UserError if a weight has a wrong shape."""
     shapes = expected_shapes()
     found: dict[str, Tensor] = {}
@@ -213,8 +214,8 @@ def _read(file: Path) -> dict[str, Tensor]:
             raise UserError(f"{file}: expected layers of VGG-16, got the unknown layer '{key}'; {FIX}")
         if shape != shapes[name]:
             raise UserError(f"{file}: '{key}': expected shape {shapes[name]}, got {shape}; {FIX}")
-        # The tensor is copied, because it would otherwise keep the file's other tensors in memory, such as the 470 MB
-        # of VGG-16's classifier.
+        # Without a copy, the tensor would keep the file's other tensors in memory, such as the 470 MB of VGG-16's
+        # classifier.
         found[name] = value.detach().to(torch.float32, copy=True)
     if not found:
         raise UserError(

@@ -1,4 +1,4 @@
-"""Residual term: penalises large displacements that the residual field adds to the positions of the points."""
+"""Residual term: penalises large displacements that the residual field adds to the points' positions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fourd.training.losses.term import RenderedStep
 
 @dataclass(frozen=True)
 class ResidualTerm:
-    """Mean of the squared components of the learnt displacements. Displacements are measured in point spacings."""
+    """Mean of the squared components of the learnt displacements, in point spacings."""
 
     weight: float
     spacing: float

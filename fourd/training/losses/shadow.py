@@ -16,8 +16,8 @@ STRIDE = 8
 
 @dataclass(frozen=True, eq=False)
 class ShadowTerm:
-    """Mean of (f - 1)^2 over the shadow factors f of background points, where f = 1 means no shadow. The shadow term
-    applies to steps whose target is a frame."""
+    """Mean of (f - 1)^2, where f is the shadow factor of a background point and f = 1 means no shadow. The term applies
+    to steps whose target is a frame."""
 
     weight: float
     background: StaticBackground

@@ -1,4 +1,4 @@
-"""Similarity term: 1 - SSIM. The similarity term replaces LPIPS if the LPIPS weights are missing."""
+"""Similarity term: 1 - SSIM. It replaces LPIPS if the LPIPS weights are missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The interface of a loss term, and the record of a rendered step from which loss terms are computed."""
+"""The interface of a loss term, and the data of a rendered step from which loss terms are computed."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from fourd.training.schedule import StepSample
 
 @dataclass(frozen=True)
 class RenderedStep:
-    """The rendered image of a training step, and the ground-truth image with which the rendered image is compared.
-    Images are float32 in [0, 1].
+    """The rendered image of a training step, and the ground truth with which it is compared. Images are float32 in [0,
+    1].
 
     Attributes:
-        number: the number of the step.
+        number: the number of the update. One update consists of one step per rank.
         time: time of the frame, in [0, 1].
         sample: the frame and views of the step.
         prediction: (H, W, 3) rendered image on the step's background colour.
         truth: (H, W, 3) true image on the step's background colour.
-        coverage: (H, W) rendered alpha of the foreground. If the target is a plate, ``coverage`` is the rendered alpha
-            of the background.
+        coverage: (H, W) rendered alpha of the foreground or, if the target is a plate, of the background.
         matte: (H, W) true alpha of the foreground, or None if the target is a plate.
-        sh: (M, 3, 16) SH coefficients of the visible foreground points. ``sh`` is None if the target is a plate or the
-            model uses no SH.
-        displacement: (M, 3) learnt displacement of the visible points in world units, or None without a residual field.
+        sh: (M, 3, 16) SH coefficients of the visible foreground points, or None if the target is a plate or the model
+            uses no SH.
+        displacement: (M, 3) learnt displacement of the visible points in world units, or None if there is no residual
+            field.
     """
 
     number: int
@@ -53,13 +53,12 @@ class LossTerm(Protocol):
         """Factor by which :meth:`value` is multiplied in the loss."""
 
     def applies_to(self, step: RenderedStep) -> bool:
-        """Whether the step has the data from which the term is computed."""
+        """Return true if the step has the data from which the term is computed."""
 
     def value(self, step: RenderedStep) -> Tensor:
-        """The term's value without its weight: a differentiable scalar tensor."""
+        """Compute the term's value without its weight, as a differentiable scalar tensor."""
 
 
 def weighted_values(terms: Iterable[LossTerm], step: RenderedStep) -> dict[str, Tensor]:
-    """Weighted values of the loss terms that apply to the step, by the name of the term. The training loss is the sum
-    of the weighted values."""
+    """Compute the weighted values of the loss terms that apply to the step, by name. The training loss is their sum."""
     return {term.name: term.weight * term.value(step) for term in terms if term.applies_to(step)}

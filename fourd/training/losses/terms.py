@@ -1,4 +1,4 @@
-"""Lists of the loss terms for each kind of scene."""
+"""List the loss terms of each kind of scene."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from fourd.training.losses.term import LossTerm
 def common_terms(
     config: TrainConfig, spacing: float, lpips: LPIPS | None, refinement: Refinement | None
 ) -> tuple[LossTerm, ...]:
-    """Loss terms that are used in every scene. Add new terms at the end: the order of the terms determines the
-    order in which gradients are summed, and another order changes the rounding errors.
+    """List the loss terms that are used in every scene. Add new terms at the end, because the terms' order determines
+    the order in which gradients are summed, and another order changes the rounding errors.
 
     Args:
         config: training config of the run.
         spacing: mean distance between neighbouring foreground points in world units.
-        lpips: network of the perceptual term; with None, SSIM replaces the perceptual term.
+        lpips: network of the perceptual term; if None, SSIM replaces the perceptual term.
         refinement: camera corrections, or None if no corrections are learnt.
     """
     weights = config.loss
@@ -43,7 +43,7 @@ def common_terms(
 
 
 def full_scene_terms(config: TrainConfig, background: StaticBackground) -> tuple[LossTerm, ...]:
-    """Additional loss terms of a full scene, which follow the common terms in the sum."""
+    """List the additional loss terms of a full scene, which follow the common terms in the sum."""
     terms: list[LossTerm] = []
     if config.background.joint and background.model.shadow is not None:
         terms.append(ShadowTerm(config.loss.shadow, background, background.model.shadow))

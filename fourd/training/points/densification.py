@@ -1,4 +1,4 @@
-"""Densification: splitting of points with large gradients, and removal of points that no training view observes."""
+"""Densification: split points with large gradients, and remove points that no training view observes."""
 
 from __future__ import annotations
 
@@ -15,26 +15,25 @@ from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.spacing import point_spacings
 
 NEIGHBOURS = 3
-"""When a parent point is split, its partner is chosen at random from this number of nearest neighbours. The split adds
-a new point midway between parent and partner. The midpoint of two near neighbours is close to the surface."""
+"""Number of nearest neighbours from which the partner of a split point (the parent) is chosen at random. The split adds
+a new point midway between parent and partner, which is close to the surface because the two are near neighbours."""
 
 
 @dataclass(frozen=True)
 class Densification:
-    """How many points were added and how many were removed in one densification."""
+    """Numbers of points that one densification added and removed."""
 
     added: int
     removed: int
 
 
 def accumulate_gradient_magnitudes(points: FramePoints, rows: Tensor, gradient: Tensor) -> None:
-    """Add the gradient magnitudes of one training step to the gradient history of the points with the indices ``rows``
-    (M,). ``gradient`` (M, 3) is the gradient of the loss with respect to their positions.
+    """Add the gradient magnitudes of one training step to the gradient history of the points ``rows`` (M,).
+    ``gradient`` (M, 3) is the gradient of the loss with respect to their positions.
 
-    The magnitude is the norm of a point's gradient times the point's spacing. To first order, the magnitude is the
-    largest change of the loss when the point moves by one spacing. The magnitude does not depend on the unit of length,
-    so the magnitudes of near and far points can be compared. In contrast, Kerbl et al. 2023, sec. 5.2, split the points
-    whose view-space gradients are large.
+    The magnitude is the norm of a point's gradient times the point's spacing. To first order, it is the largest change
+    of the loss when the point moves by one spacing. It does not depend on the unit of length, so near and far points
+    can be compared. In contrast, Kerbl et al. 2023, sec. 5.2, split points with large view-space gradients.
     """
     magnitude = gradient.norm(dim=1) * points.spacing[rows]
     points.gradient_sum[rows] += magnitude
@@ -43,22 +42,21 @@ def accumulate_gradient_magnitudes(points: FramePoints, rows: Tensor, gradient: 
 
 
 def unobserved_points(points: FramePoints, patience: int) -> Tensor:
-    """(N,) bool, true for points that are at least ``patience`` steps old and have never had a gradient."""
+    """Return an (N,) bool mask of the points that are at least ``patience`` steps old and have never had a gradient."""
     return (points.visible_steps == 0) & (points.age - points.created_at >= patience)
 
 
 def densify(points: FramePoints, config: DensifyConfig, unobserved: Tensor, seed: list[int]) -> Densification:
     """Split the points with the largest mean gradient magnitudes and remove unobserved points, in place.
 
-    At most the share ``config.share`` of the points is split. Splitting stops when the number of points is
-    ``config.growth`` times the initial number. A new point gets the mean parameters of its parent and partner, initial
-    optimizer state and an empty gradient history.
+    At most the fraction ``config.share`` of the points is split. Splitting stops when the number of points reaches
+    ``config.growth`` times the initial number. A new point gets the mean parameters of its parent and its partner, a
+    fresh optimizer state and an empty gradient history.
 
     Args:
         points: the cloud.
         config: limits of densification.
-        unobserved: (N,) bool, true for points to remove. Permanent points are kept, even if they are marked in
-            ``unobserved``.
+        unobserved: (N,) bool, true for points to remove. Permanent points are kept even if they are marked.
         seed: seed of the random choice of partners.
     """
     count = points.xyz.shape[0]
@@ -81,7 +79,7 @@ def densify(points: FramePoints, config: DensifyConfig, unobserved: Tensor, seed
 
 
 def _reduce_spacings(points: FramePoints, rows: NDArray[np.intp]) -> None:
-    """Reduce spacing and radius of points whose neighbours are closer than before the points were split."""
+    """Reduce the spacing and the radius of points that are closer to their neighbours than before the split."""
     measured = torch.from_numpy(point_spacings(points.xyz.cpu().numpy(), rows)).to(points.spacing)
     spacing = torch.minimum(points.spacing[rows], measured)
     points.radius[rows] *= spacing / points.spacing[rows]

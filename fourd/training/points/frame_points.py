@@ -20,7 +20,7 @@ HISTORY = {
     "age": "age",
     "initial_count": "first",
 }
-"""Name of each attribute of the gradient history -> name of its tensor in files."""
+"""Attribute of the gradient history -> name of its tensor in files."""
 
 
 @dataclass
@@ -30,19 +30,19 @@ class FramePoints:
     Attributes:
         spacing: (N,) distance between each point and its neighbours in world units. Radii are proportional to the
             spacing.
-        radius: (N,) last radii that the model computed, in world units, for occlusion tests.
-        density: (N,) last densities that the model computed, in (0, 1), for occlusion tests.
-        parameters: name -> optimised tensor. The positions are "xyz" (N, 3) in world units. Points with explicit SH
-            have the coefficients "sh" (N, 48). The view-independent colours of the points are "rgb" (N, 3).
+        radius: (N,) radii in world units that the model computed last; used for occlusion tests.
+        density: (N,) densities in (0, 1) that the model computed last; used for occlusion tests.
+        parameters: name -> optimised tensor: the positions "xyz" (N, 3) in world units, the coefficients "sh" (N, 48)
+            of explicit SH, and the view-independent colours "rgb" (N, 3). "sh" and "rgb" are optional.
         optimizer: Adam's state for the parameters.
         gradient_sum: (N,) sum of gradient magnitudes over training steps; see ``accumulate_gradient_magnitudes``.
         visible_steps: (N,) number of training steps in which the point had a gradient.
         created_at: (N,) value of ``age`` when the point was created.
         is_permanent: (N,) bool, whether densification keeps the point even if it never gets a gradient.
-        age: scalar, number of steps in which these points were trained.
+        age: scalar, number of training steps on these points.
         initial_count: scalar, number of points before training.
-        local_planes: (N, 4) planes fitted to the neighbours of each point, see ``fit_planes``. At the start, and after
-            points were added or removed, the attribute is None until the planes are fitted.
+        local_planes: (N, 4) planes fitted to the neighbours of each point; see ``fit_planes``. None until the planes
+            are first fitted, and again after points were added or removed.
     """
 
     spacing: Tensor
@@ -66,7 +66,7 @@ class FramePoints:
     def initial(
         cls, xyz: Tensor, spacing: Tensor, radius: float, *, explicit_sh: bool, rgb: Tensor | None = None
     ) -> FramePoints:
-        """Untrained points.
+        """Create untrained points.
 
         Args:
             xyz: (N, 3) positions.
@@ -118,7 +118,7 @@ class FramePoints:
         self.local_planes = None
 
     def tensors(self) -> dict[str, Tensor]:
-        """All tensors of the points, with their names in files as keys."""
+        """Return all tensors of the points. The keys are their names in files."""
         named = {name: getattr(self, name) for name in ("spacing", "radius", "density")}
         named["steps"] = self.optimizer.steps
         if self.local_planes is not None:
@@ -130,8 +130,8 @@ class FramePoints:
 
     @classmethod
     def from_tensors(cls, named: Mapping[str, Tensor]) -> FramePoints:
-        """Create points from the output of :meth:`tensors`. If ``named`` contains no gradient history, the created
-        history is empty."""
+        """Create points from the output of :meth:`tensors`. If ``named`` contains no gradient history, the history is
+        empty."""
         history = _empty_history(named["steps"].shape[0])
         history.update({name: named[stored] for name, stored in HISTORY.items() if stored in named})
         return cls(
@@ -145,8 +145,7 @@ class FramePoints:
         )
 
     def copy_outside_heap(self) -> FramePoints:
-        """Copy all tensors to memory outside the heap. Use this method for points that stay in memory for many
-        steps."""
+        """Copy all tensors to memory outside the heap. Do this for points that stay in memory for many steps."""
         return self.from_tensors({name: tensor_outside_heap(value) for name, value in self.tensors().items()})
 
     def to(self, device: torch.device) -> FramePoints:

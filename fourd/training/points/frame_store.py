@@ -1,4 +1,4 @@
-"""Points of all frames, stored in files, with a memory cache of bounded size."""
+"""Store the points of all frames in files, with a bounded memory cache."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from fourd.training.points.scratch import Scratch
 
 
 class FrameStore:
-    """Points of all frames. Only the most recently used frames are kept in memory. The points of other frames are
-    stored in files, so that memory does not grow with the number of frames."""
+    """Points of all frames. Only the most recently used frames are kept in memory and the others are stored in files,
+    so that memory use does not grow with the number of frames."""
 
     def __init__(
         self,
@@ -40,8 +40,7 @@ class FrameStore:
             frames: number of frames.
             make: function that returns a frame's initial points, given the frame's index.
             memory_mb: maximum size of the points in memory, in MiB. The points of a single frame may exceed this size.
-            saved: folder that :meth:`save` has written. The points are read from this folder; if None, initial points
-                are used.
+            saved: folder written by :meth:`save` from which the points are read; if None, initial points are used.
             device: device of the points that :meth:`get` returns.
         """
         self._scratch = scratch
@@ -58,8 +57,8 @@ class FrameStore:
         return len(self._cache)
 
     def get(self, frame: int) -> FramePoints:
-        """The points of a frame. The caller may change the points in place, but only before the next call of this
-        method. Later changes may be lost."""
+        """Return the points of a frame. The caller may change them in place until the next call of this method; later
+        changes may be lost."""
         if frame not in self._cache:
             self._cache[frame] = self._load(frame).to(self._device).copy_outside_heap()
         return self._cache[frame]
@@ -72,14 +71,13 @@ class FrameStore:
         self._saved = folder
 
     def close(self) -> None:
-        """Remove the scratch folder. Call this method when the store is no longer needed. Without a call, the folder is
-        removed when the object is deleted, and Python ignores a Ctrl-C that arrives during the deletion.
+        """Remove the scratch folder. Call this method when the store is no longer needed. If it is not called, the
+        folder is removed when the object is deleted, and Python ignores a Ctrl-C during this deletion.
         """
         self._scratch.close()
 
     def _write(self, frame: int, target: Path) -> None:
-        """Write a frame's points to ``target``. If the points are not in memory, the newest file with the points is
-        copied."""
+        """Write a frame's points to ``target``. If they are not in memory, the newest file with them is copied."""
         file = self._newest_file(frame)
         if frame in self._cache:
             save_file(self._cache[frame].tensors(), target)
@@ -98,7 +96,7 @@ class FrameStore:
         return FramePoints.from_tensors(named)
 
     def _newest_file(self, frame: int) -> Path | None:
-        """The newest file with the frame's points, or None if the frame was never written."""
+        """Return the newest file with the frame's points, or None if the frame was never written."""
         folder = self._scratch.folder if frame in self._spilled else self._saved
         return None if folder is None else folder / file_name(frame)
 
@@ -143,5 +141,5 @@ class _SpillingCache(LRUCache[int, FramePoints]):
 
 
 def file_name(frame: int) -> str:
-    """Name of the file with the points of a frame."""
+    """Return the name of the file with a frame's points."""
     return f"{frame:06d}.safetensors"

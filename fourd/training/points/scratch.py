@@ -1,4 +1,4 @@
-"""Scratch folders. Each command that uses a run has a separate scratch folder, so that train, eval, render, export and
+"""Scratch folders. Each command that uses a run has its own scratch folder, so that train, eval, render, export and
 view can use the run at the same time."""
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ if sys.platform != "win32":
     import fcntl
 
 LOCK_SUFFIX = ".lock"
-"""Suffix of lock files. While a process uses the scratch folder NAME, it keeps the file NAME.lock locked."""
+"""Suffix of lock files. A process keeps the file NAME.lock locked while it uses the scratch folder NAME."""
 
 
 class Scratch:
-    """A new folder in ``parent``. No other process and no other Scratch object uses this folder.
+    """A new folder in ``parent`` that no other process and no other Scratch object uses.
 
     The folder is removed when this object is deleted or the process exits. If the process is killed, the folder remains
     until the next Scratch with the same ``parent`` is created.
@@ -49,8 +49,8 @@ def _create_lock(parent: Path) -> tuple[str, BinaryIO]:
             stream = path.open("xb")
         except FileNotFoundError:
             continue  # Another process has removed ``parent``, which was empty.
-        # Another process may have removed the new lock file before this process locked it: a lock file that is not
-        # locked looks like a leftover of a process that has ended.
+        # Before this process locked the new file, another process may have removed it, because an unlocked lock file
+        # looks like a leftover of a process that has ended.
         if _try_lock(stream) and path.exists():
             return name, stream
         stream.close()
@@ -71,7 +71,7 @@ def _remove(folder: Path, lock: BinaryIO) -> None:
 
 
 def _remove_leftovers(parent: Path) -> None:
-    """Remove the scratch folders of processes that have ended. The lock files of ended processes are not locked."""
+    """Remove the scratch folders of processes that have ended, which are those whose lock files are not locked."""
     for path in parent.glob(f"*{LOCK_SUFFIX}"):
         with contextlib.suppress(OSError), path.open("rb+") as stream:
             if _try_lock(stream):

@@ -1,4 +1,5 @@
-"""Adam on selected rows of tensors. Points that are not visible in a step keep their parameters and optimizer state."""
+"""Adam on selected rows of tensors, so that points that are not visible in a step keep their parameters and optimizer
+state."""
 
 from __future__ import annotations
 
@@ -13,9 +14,9 @@ from fourd.training.memory import tensor_outside_heap
 BETAS = (0.9, 0.99)
 EPSILON = 1e-15
 EPSILONS = {"rgb": 1e-6}
-"""Parameter name -> Adam's epsilon, for the parameters that do not use EPSILON. The stored colours ("rgb") of most
-background points hardly affect the image, so their gradients are mostly noise. With an epsilon as small as EPSILON,
-Adam would take full-size steps on this noise, and the colours would follow a random walk."""
+"""Parameter name -> Adam's epsilon, for parameters that do not use EPSILON. The stored colours ("rgb") of most
+background points hardly affect the image, so their gradients are mostly noise. If their epsilon were as small as
+EPSILON, Adam would take full-size steps on this noise, and the colours would follow a random walk."""
 
 
 @dataclass
@@ -34,7 +35,7 @@ class SelectiveAdam:
 
     @classmethod
     def initial(cls, parameters: Mapping[str, Tensor], betas: tuple[float, float] = BETAS) -> SelectiveAdam:
-        """Initial state for parameters (N, C)."""
+        """Create the initial state for parameters (N, C)."""
         count = next(iter(parameters.values())).shape[0]
         moments = {name: torch.zeros(2, *value.shape) for name, value in parameters.items()}
         return cls(moments, torch.zeros(count), betas)
@@ -65,7 +66,7 @@ class SelectiveAdam:
             parameters[name][rows] -= rates[name] * first / (1 - self.betas[0] ** steps) / scale
 
     def keep_rows(self, kept: Tensor, new_count: int) -> None:
-        """Keep only the state of the rows ``kept`` (K,), and append initial state for ``new_count`` rows."""
+        """Keep only the state of the rows ``kept`` (K,), and append the initial state of ``new_count`` rows."""
         for name, moments in self.moments.items():
             new = moments.new_zeros(2, new_count, moments.shape[2])
             self.moments[name] = tensor_outside_heap(torch.cat([moments[:, kept], new], dim=1))

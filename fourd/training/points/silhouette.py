@@ -16,16 +16,16 @@ from fourd.training.points.frame_points import FramePoints
 def revert_moves_out_of_silhouettes(
     points: FramePoints, rows: Tensor, before: Tensor, views: Sequence[tuple[tuple[Camera, ...], Tensor]]
 ) -> None:
-    """Undo the moves that took a point out of the silhouette in at least one view.
+    """Undo each move that took a point out of the silhouette in at least one view.
 
-    A silhouette that did not contain the point before the move has no effect. A view does not constrain points outside
-    the view's image.
+    A view has no effect on points that were outside its silhouette before the move or are outside its image after it.
 
     Args:
         points: the cloud. Positions are changed in place.
         rows: (M,) indices of the points that moved.
         before: (M, 3) positions of the moved points before the move.
-        views: groups of views of equal size: the V pinhole cameras of a group, and their mattes (V, H, W) in [0, 1].
+        views: groups of views. Each group consists of V pinhole cameras with equal image sizes, and their mattes (V, H,
+            W) in [0, 1].
     """
     moved = points.xyz[rows]
     left = torch.zeros(len(rows), dtype=torch.bool, device=moved.device)
@@ -38,8 +38,8 @@ def revert_moves_out_of_silhouettes(
 
 
 def _silhouette_samples(xyz: Tensor, cameras: tuple[Camera, ...], mattes: Tensor) -> tuple[Tensor, Tensor]:
-    """Two masks (V, N) for points (N, 3) and V views: whether the point is inside the image, and whether the matte is
-    at least 0.5 there."""
+    """Return two masks (V, N) for points (N, 3) and V views. The first is true where the point is inside the image, and
+    the second is true where the matte is at least 0.5 at the point."""
     pixels, depth = project_points(xyz, cameras)
     size = torch.tensor([mattes.shape[2], mattes.shape[1]], dtype=pixels.dtype, device=pixels.device)
     grid = 2 * pixels / size - 1

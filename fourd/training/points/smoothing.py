@@ -1,9 +1,9 @@
 """Surface smoothing: moves points towards planes through their neighbours, and moves isolated points back to their
 neighbours.
 
-The images determine the position of a point accurately along the surface, but poorly in the direction of the normal.
-Training therefore moves points across the surface at random, by about half a point spacing. In training views, the
-colours of the points compensate for these displacements. In novel views, the displacements make contours ragged.
+The images determine a point's position accurately along the surface, but poorly along the normal. Training therefore
+displaces points along the normal at random, by about half a point spacing. In training views, the colours of the points
+compensate for these displacements, but in novel views, contours become ragged.
 """
 
 from __future__ import annotations
@@ -19,39 +19,40 @@ from fourd.training.memory import tensor_outside_heap
 from fourd.training.points.frame_points import FramePoints
 
 NEIGHBOURS = 16
-"""Number of points to which the plane of a point is fitted, including the point itself."""
+"""Number of points to which a point's plane is fitted, including the point itself."""
 TOLERANCE = 0.25
-"""Tolerance in point spacings: points that are at most this far from their plane are not moved. Smoothing therefore
-does not change details that deviate from the plane by less than the tolerance."""
+"""Tolerance in point spacings. To preserve small details, points that are at most this far from their plane are not
+moved."""
 REFIT_STEPS = 40
 """The planes of a frame's points are fitted again after this number of training steps on the frame."""
 ISOLATION_RANK = 8
 """Rank of the neighbour whose distance decides whether a point is isolated. The nearest neighbour has rank 1."""
 ISOLATION_SPACINGS = 4.0
 """A point is isolated if its distance to the neighbour of rank ISOLATION_RANK exceeds this number of point spacings. If
-the points are spread evenly, the distance to this neighbour is about 2 spacings."""
+points are spread evenly, this distance is about 2 spacings."""
 MAX_SHARE = 0.5
-"""One step reduces a point's excess distance by at most this share. The excess distance is the part of the distance
+"""One step reduces a point's excess distance by at most this fraction. The excess distance is the part of the distance
 from the plane that exceeds the tolerance."""
 
 
 def smooth_surface(points: FramePoints, rows: Tensor, rates: Tensor, strength: float) -> None:
     """Move the points ``rows`` towards the planes through their neighbours, in place.
 
-    Whenever the planes are fitted again, each isolated point is moved to the mean position of its neighbours. Isolated
-    points would be visible as specks beside the subject in novel views. The loss does not move isolated points back,
+    Whenever the planes are fitted again, each isolated point is moved to the mean position of its neighbours, because
+    it would be visible as a speck beside the subject in novel views. The loss does not move isolated points back,
     because each image shows only few of them.
 
     A point's excess distance is the part of its distance from the plane that exceeds the tolerance. Each call reduces
-    the excess distance by the share ``strength * rate / spacing``, where ``rate`` and ``spacing`` are the point's
-    learning rate and spacing. Smoothing and the loss both move a point in proportion to its learning rate, so the
-    balance between the two does not depend on the learning rate.
+    it by the fraction ``strength * rate / spacing``, where ``rate`` and ``spacing`` are the point's learning rate and
+    spacing. Smoothing and the loss both move a point in proportion to its learning rate, so the balance between them
+    does not depend on the learning rate.
 
     Args:
         points: the points of a frame or of the background. The planes are fitted again every REFIT_STEPS steps.
         rows: (M,) indices of the points to move.
         rates: (M, 1) learning rates of the positions in world units.
-        strength: share by which the excess distance is reduced if the learning rate equals the point spacing.
+        strength: fraction by which the excess distance is reduced if the learning rate equals the point spacing. The
+            reduction is clamped to MAX_SHARE.
     """
     if len(points.xyz) < NEIGHBOURS:
         return
@@ -87,8 +88,8 @@ def fit_planes(xyz: Tensor) -> LocalFit:
     """Fit a plane to the nearest neighbours of each point in ``xyz`` (N, 3), with N at least NEIGHBOURS. The planes are
     computed on the CPU and returned on the device of ``xyz``.
 
-    Near neighbours have larger weights than far neighbours. The plane minimises the weighted sum of squared distances
-    (principal component analysis).
+    The plane minimises the weighted sum of the neighbours' squared distances (principal component analysis). Near
+    neighbours have larger weights than far ones.
     """
     data = xyz.detach().cpu().numpy()
     found = nearest_neighbours(data, data, NEIGHBOURS, threads=torch.get_num_threads())

@@ -1,5 +1,4 @@
-"""Point spacing: the distance between neighbouring points. The radius of a point is a multiple of the point's
-spacing."""
+"""Point spacing: the distance between neighbouring points. A point's radius is a multiple of its spacing."""
 
 from __future__ import annotations
 
@@ -10,17 +9,17 @@ from fourd.ops.neighbours import nearest_neighbours
 
 NEIGHBOURS = 4
 DEFAULT_SPACING = 0.01
-"""Assumed spacing, in world units, of clouds with too few points to measure the spacing."""
+"""Spacing in world units that is assumed for clouds with too few points to measure it."""
 MAX_SAMPLES = 4096
 MEAN_NEIGHBOUR_DISTANCE = 1.2
-"""Mean distance of a point to its four nearest neighbours, divided by the spacing, if the points are spread evenly over
-a surface."""
+"""Mean distance of a point to its four nearest neighbours, divided by the spacing, for points that are spread evenly
+over a surface."""
 
 
 def point_spacings(xyz: NDArray[np.float32], rows: NDArray[np.intp] | None = None) -> NDArray[np.float32]:
-    """(M,) spacing at the points ``xyz[rows]``, or at all points ``xyz`` (N, 3) if ``rows`` is None.
+    """Estimate the spacing (M,) at the points ``xyz[rows]``, or at all points ``xyz`` (N, 3) if ``rows`` is None.
 
-    The spacing is estimated as if the points were spread evenly over a surface.
+    The estimate assumes that the points are spread evenly over a surface.
     """
     queried = xyz if rows is None else xyz[rows]
     if len(xyz) <= NEIGHBOURS:
@@ -30,10 +29,10 @@ def point_spacings(xyz: NDArray[np.float32], rows: NDArray[np.intp] | None = Non
 
 
 def mean_spacing(xyz: NDArray[np.float32]) -> float:
-    """Mean spacing at the first 4,096 points of ``xyz`` (N, 3).
+    """Compute the mean spacing at the first 4,096 points of ``xyz`` (N, 3).
 
-    The spacing is computed from the mean distance to four neighbours. The distance to the nearest neighbour alone would
-    depend more on how evenly the points are spread.
+    The spacing is computed from the mean distance to four neighbours, because the distance to the nearest neighbour
+    alone would depend more on how evenly the points are spread.
     """
     if len(xyz) <= NEIGHBOURS + 1:
         return DEFAULT_SPACING

@@ -1,4 +1,4 @@
-"""Creation of an object scene or a full scene."""
+"""Create an object scene or a full scene."""
 
 from __future__ import annotations
 

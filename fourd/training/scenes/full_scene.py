@@ -28,19 +28,18 @@ from fourd.training.schedule import StepSample
 from fourd.training.views import View, ViewStore
 
 RNG_STREAM = 3
-"""Number of the random stream that densification uses. No other random stream of a run has the same number.
-Densification draws its random numbers from ``default_rng([seed, RNG_STREAM, frame, age])``."""
+"""Number of densification's random stream, which no other random stream of a run has. Densification draws its random
+numbers from ``default_rng([seed, RNG_STREAM, frame, age])``."""
 BACKGROUND_SEED = 2**31
-"""In the seed of the background's densification, this number takes the place of the frame index. The number is larger
-than every frame index."""
+"""Number that replaces the frame index in the seed of the background's densification. It is larger than every frame
+index."""
 
 
 class FullScene:
     """A scene with a foreground and a static background; see :class:`fourd.training.scenes.scene.TrainingScene`.
 
     A step renders either a frame or a clean plate. If ``config.background.joint`` is true, a step on a frame renders
-    the frame together with the background. If ``joint`` is false, a step on a frame renders and trains only the
-    foreground.
+    the foreground together with the background. Otherwise, it renders and trains only the foreground.
     """
 
     resident_bytes = FULL_RESIDENT_BYTES
@@ -123,8 +122,8 @@ class FullScene:
     def evaluate_background(
         self, camera: Camera, sources: SelectedViews, shadow_time: float | None = None
     ) -> RenderablePoints:
-        """All points of the background, with the shadows at the time ``shadow_time``. If ``shadow_time`` is None, the
-        points have no shadows."""
+        """Evaluate all background points with the shadows at the time ``shadow_time``, or without shadows if it is
+        None."""
         model, points = self.background.model, self.background.points
         with torch.no_grad():
             plates = None
@@ -167,12 +166,12 @@ class FullScene:
 
 
 def place_window(camera: Camera, side_px: int, position: tuple[float, ...]) -> tuple[int, int, int, int]:
-    """(left, top, width, height) of a square window in the image. If the image is smaller than the window, the window's
-    sides are clipped to the size of the image.
+    """Return (left, top, width, height) of a square window in the image. The window's sides are clipped to the image
+    size.
 
-    ``position`` (x, y) in [0, 1) is the window's centre as a share of the image's size. A window that extends beyond
-    the image is shifted into the image. Because windows are shifted, many of them contain a corner of the image. If
-    windows were placed uniformly inside the image, almost none would contain a corner.
+    ``position`` (x, y) in [0, 1) is the window's centre as a fraction of the image size. A window that extends beyond
+    the image is shifted into it. As a result, many windows contain an image corner, whereas almost none would if
+    windows were placed uniformly inside the image.
     """
     width, height = min(side_px, camera.width), min(side_px, camera.height)
     left = np.clip(round(position[0] * camera.width - width / 2), 0, camera.width - width)

@@ -64,7 +64,7 @@ class ObjectScene:
     def evaluate_visible(
         self, points: FramePoints, rows: Tensor, time: float, sample: StepSample, camera: Camera, step: int
     ) -> OptimizedPoints:
-        """Evaluate the attributes of the points with the indices ``rows`` (M,). The attributes are differentiable."""
+        """Evaluate the points with the indices ``rows`` (M,). The result is differentiable."""
         sources = None
         if self.config.model.appearance != "sh":
             views = self.views.sources(sample.sources, sample.frame).weighted(sample.source_weights)

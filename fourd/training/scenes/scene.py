@@ -1,5 +1,4 @@
-"""The interface of a scene. The interface covers everything in training and rendering that differs between object
-scenes and full scenes."""
+"""The interface of a scene: everything in training and rendering that differs between object scenes and full scenes."""
 
 from __future__ import annotations
 
@@ -38,7 +37,7 @@ class Target:
             the matte. For a frame of a full scene, the mask is 1 everywhere. For a plate, the mask is 1 where the plate
             shows the background.
         fills_picture: whether the scene covers the whole image. If true, the loss ignores pixels whose colour is
-            unknown. If false, pixels whose colour is unknown get the step's background colour.
+            unknown. If false, they get the step's background colour.
     """
 
     camera: Camera
@@ -59,7 +58,7 @@ class OptimizedPoints:
             gradient of the loss.
         evaluated: geometry and features of the visible points.
         colour: (M, 3) RGB of the visible points as seen by the target camera.
-        sources: the source views from which colours are blended, or None without image-based colour.
+        sources: the source views from which colours are blended, or None if the model has no image-based colour.
     """
 
     cloud: FramePoints
@@ -79,12 +78,12 @@ class TrainingScene(Protocol):
 
     @property
     def models(self) -> Mapping[str, PointModel]:
-        """All models, with the model of the foreground first. The keys are the prefixes of the models' tensor names in
+        """All models, with the foreground's model first. The keys are the prefixes of the models' tensor names in
         checkpoints."""
 
     @property
     def static_clouds(self) -> Mapping[str, FramePoints]:
-        """Point clouds that all frames share. The keys are the names of the clouds' files in checkpoints."""
+        """Point clouds that all frames share. The keys are their file names in checkpoints, without the suffix."""
 
     @property
     def views(self) -> ViewStore:
@@ -99,40 +98,40 @@ class TrainingScene(Protocol):
         """Target for the process's resident size while training, in bytes."""
 
     def loss_terms(self, lpips: LPIPS | None, refinement: Refinement | None) -> tuple[LossTerm, ...]:
-        """Terms of the training loss."""
+        """Return the terms of the training loss."""
 
     def set_rig(self, rig: Rig) -> None:
         """Replace the cameras of views and plates by the corrected cameras of ``rig``."""
 
     def target(self, sample: StepSample) -> Target:
-        """The ground-truth image of a step."""
+        """Return the ground-truth image of a step."""
 
     def evaluate_step(
         self, points: FramePoints, time: float, sample: StepSample, camera: Camera, step: int
     ) -> list[OptimizedPoints]:
-        """The visible points of each cloud that is rendered in a step. The foreground comes first."""
+        """Evaluate the visible points of each cloud that is rendered in a step, with the foreground first."""
 
     def xyz_rate(self, points: OptimizedPoints, factor: float) -> Tensor:
-        """Learning rates (M, 1) of the positions of M points, in world units. The schedule multiplies all learning
-        rates by ``factor``."""
+        """Return the learning rates (M, 1) of M points' positions, in world units. ``factor`` is the schedule's factor
+        of all learning rates."""
 
     def finish_step(self) -> None:
         """Notify the scene that a training step has ended and has updated the parameters."""
 
     def densify(self, points: FramePoints, sample: StepSample, spent: float) -> None:
-        """Split and remove points after a step, if densification is due at this step. ``spent`` is the spent share of
-        the training budget."""
+        """Split and remove points after a step, if densification is due. ``spent`` is the fraction of the training
+        budget that is spent."""
 
     def clear_caches(self) -> None:
-        """Drop cached data. A resumed run starts without cached data, so an uninterrupted run must also drop its cached
-        data at each checkpoint to give the same result."""
+        """Drop cached data. To give the same result as a resumed run, which starts without cached data, an
+        uninterrupted run must drop its cached data at each checkpoint."""
 
     def evaluate_frame(
         self, points: FramePoints, frame: int, camera: Camera, sources: SelectedViews
     ) -> list[RenderablePoints]:
-        """All points of a scene at one frame, with the foreground first. ``frame`` is the frame's index in the selected
-        frames. ``sources`` contains the indices and the view weights of the cameras from whose images the colours are
-        blended."""
+        """Evaluate all points of the scene at one frame, with the foreground first. ``frame`` is an index into the
+        selected frames. ``sources`` contains the indices and view weights of the cameras whose images the colours are
+        blended from."""
 
     def reference_picture(self, view: View) -> NDArray[np.float32]:
-        """The true image (H, W, 3) in [0, 1] with which a rendering of the view is compared."""
+        """Return the true image (H, W, 3) in [0, 1] with which a rendering of the view is compared."""

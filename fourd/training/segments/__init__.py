@@ -1,2 +1,2 @@
-"""Runs with segments. Each segment is a range of frames that has its own model, so that memory does not grow with the
-length of a capture."""
+"""Runs with segments. Each segment is a range of frames with its own model, so that memory use does not grow with the
+length of the capture."""

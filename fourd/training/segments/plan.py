@@ -1,4 +1,4 @@
-"""Division of the frames of a run into overlapping segments."""
+"""Divide the frames of a run into overlapping segments."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ class SegmentPlan:
     """The frames of each segment.
 
     Attributes:
-        ranges: for each segment, the range of its frames, as indices into the selected frames. Successive segments
-            share ``overlap`` frames, and no frame belongs to three segments.
-        overlap: number of frames that two successive segments share.
+        ranges: for each segment, the range of its frames, as indices into the selected frames. No frame belongs to
+            three segments.
+        overlap: number of frames that two successive segments have in common.
     """
 
     ranges: tuple[range, ...]
@@ -36,8 +36,8 @@ class SegmentPlan:
         return cls(tuple(range(start, stop) for start, stop in zip(starts, stops, strict=True)), shared)
 
     def shares(self, frame: int) -> tuple[tuple[int, float], ...]:
-        """(segment, share) for each segment that contains ``frame``. The share is the part of the frame's points that
-        comes from the segment. The shares sum to 1.
+        """Return (segment, share) for each segment that contains ``frame``, where the share is the fraction of its
+        points that the segment contributes to the frame. The shares sum to 1.
 
         Where two segments overlap, the share of the later segment grows linearly from frame to frame.
         """
@@ -50,10 +50,10 @@ class SegmentPlan:
 
 
 def frame_range(numbers: Sequence[int], frames: range) -> str:
-    """The config value ``frames`` (A:B or A:B:S) that selects the frames of a segment.
+    """Return the config value ``frames`` (A:B or A:B:S) that selects the frames of a segment.
 
     Args:
-        numbers: indices of all frames of the run, counted in the frames of the capture. The indices are evenly spaced.
+        numbers: indices of all frames of the run in the capture, evenly spaced.
         frames: indices of the segment's frames in ``numbers``.
     """
     step = numbers[1] - numbers[0] if len(numbers) > 1 else 1

@@ -22,14 +22,14 @@ from fourd.training.segments.plan import SegmentPlan
 
 @dataclass(frozen=True)
 class SegmentFrame:
-    """A frame of a run, and a segment that contains the frame.
+    """A frame of a run, and one segment that contains it.
 
     Attributes:
         trained: the segment.
         frame: index of the frame in the segment.
-        share: part of the frame's points that comes from the segment, in (0, 1]. The shares of all segments of a frame
-            sum to 1.
-        is_first: whether the segment is the first of the segments of this frame.
+        share: fraction of its points that the segment contributes to the frame, in (0, 1]. The shares of all segments
+            of a frame sum to 1.
+        is_first: whether the segment is the frame's first segment.
     """
 
     trained: TrainedRun
@@ -38,14 +38,14 @@ class SegmentFrame:
     is_first: bool
 
     def kept(self, count: int) -> NDArray[np.int64]:
-        """Indices of the points that the segment contributes to the frame. ``count`` is the number of the segment's
-        points in this frame."""
+        """Return the indices of the points that the segment contributes to the frame. ``count`` is the number of the
+        segment's points in this frame."""
         return kept_points(count, self.share, is_first=self.is_first)
 
 
 class SegmentedRun:
     """A run with segments. A segment is loaded when one of its frames is needed. Only the segments of the last
-    requested frame stay loaded, so memory does not grow with the number of segments.
+    requested frame stay loaded, so memory use does not grow with the number of segments.
 
     Attributes:
         run: the whole run, which contains no model, because each segment has its own model.
@@ -77,13 +77,13 @@ class SegmentedRun:
         return Rig(self.run.capture.cameras)
 
     def segment(self, index: int) -> TrainedRun:
-        """The segment with the index ``index``, loaded from its newest checkpoint."""
+        """Return the segment with the index ``index``, loaded from its newest checkpoint."""
         if index not in self._open:
             self._open[index] = load_run(segment_folder(self.run.folder, index))
         return self._open[index]
 
     def at(self, frame: int) -> tuple[SegmentFrame, ...]:
-        """The one or two segments that contain a frame."""
+        """Return the one or two segments that contain a frame."""
         shares = self.plan.shares(frame)
         self._close_all_except({index for index, _ in shares})
         return tuple(
@@ -106,7 +106,7 @@ class SegmentedRun:
         for index in closed:
             self._open.pop(index).close()
         if closed:
-            # The objects of a segment refer to each other in cycles. Without this call, Python would free their memory
+            # A segment's objects refer to each other in cycles, so without this call, Python would free their memory
             # only in its next full garbage collection.
             gc.collect()
 
@@ -121,7 +121,7 @@ def open_trained(folder: Path) -> TrainedRun | SegmentedRun:
 
 
 def _evaluate(part: SegmentFrame, camera: Camera, exclude: int | None) -> RenderablePoints:
-    """The points that a segment contributes to a frame, as seen by ``camera``."""
+    """Evaluate the points that a segment contributes to a frame, as seen by ``camera``."""
     (points,) = part.trained.renderer.evaluate(part.trained.frames.get(part.frame), part.frame, camera, exclude)
     rows = part.kept(points.xyz.shape[0])
     return RenderablePoints(points.xyz[rows], points.radius[rows], points.density[rows], points.colour[rows])

@@ -1,4 +1,4 @@
-"""Start of a segment from the trained networks of the previous segment."""
+"""Start a segment from the trained networks of the previous segment."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ PREFIX = "model."
 
 def write_warm_start(run: Run, previous: Path) -> None:
     """Write a checkpoint at step 0 with the networks of the previous segment. The points and the optimizer state are
-    initial, as in an untrained segment.
+    those of an untrained segment.
 
-    A row of a time plane belongs to one frame. The rows of the frames that both segments share are copied. The rows of
-    all later frames are copies of the previous segment's last row.
+    Each row of a time plane belongs to one frame. Rows of frames that belong to both segments are copied. Rows of later
+    frames are copies of the previous segment's last row.
 
     Args:
         run: the new segment, which has no checkpoint yet.
@@ -57,8 +57,8 @@ def write_warm_start(run: Run, previous: Path) -> None:
 
 
 def _shifted(model: PointModel, tensors: Mapping[str, Tensor], shift: int) -> dict[str, Tensor]:
-    """The state dict of ``model``, filled with the tensors of the previous segment's checkpoint. The first frame of
-    ``model`` is the frame with the index ``shift`` in the previous segment."""
+    """Return the state dict of ``model``, filled with the tensors of the previous segment's checkpoint. The first frame
+    of ``model`` is the frame with the index ``shift`` in the previous segment."""
     state = model.state_dict()
     for name, value in state.items():
         given = tensors[f"{PREFIX}{name}"]
@@ -70,7 +70,7 @@ def _shifted(model: PointModel, tensors: Mapping[str, Tensor], shift: int) -> di
 
 
 def time_plane_names(model: PointModel) -> set[str]:
-    """Names of the time planes in ``model.state_dict()``. Time planes have one row per frame."""
+    """Return the names of the time planes in ``model.state_dict()``. Time planes have one row per frame."""
     return {
         f"{name}.planes.{index}"
         for name, module in model.named_modules()

@@ -1,2 +1,2 @@
-"""The page of a run: curves, pictures, state and buttons. The server reads the files of the run, and writes only the
-file that contains the request to the training."""
+"""Serves the page of a run, which shows curves, validation images, the state and buttons. The server only reads the
+run's files, except for one file through which it sends requests to the training process."""

@@ -1,5 +1,4 @@
-"""Decides who may see and control a run. The decision depends on the token, the server name and the origin of a
-request."""
+"""Decides, from a request's token, server name and origin, whether its sender may see or control a run."""
 
 from __future__ import annotations
 
@@ -25,10 +24,10 @@ _WRONG_TOKEN = "The token is wrong. Open the address that fourd serve has printe
 
 
 def choose_token(option: str | None, host: str) -> str | None:
-    """The token that the server requires, or None if only this machine can connect and no token was set.
+    """Return the token that the server requires, or None if no token was set and only this machine can connect.
 
-    The token is the value of the option ``--token``. Without this option, the token is the value of the environment
-    variable FOURD_TOKEN. If neither is set and other machines can connect, the token is random.
+    The token comes from the option ``--token`` or else from the environment variable FOURD_TOKEN. If neither is set and
+    other machines can connect, the token is random.
 
     Raises UserError if the token is too short or has characters that are not allowed. The message does not contain the
     token.
@@ -46,7 +45,7 @@ def choose_token(option: str | None, host: str) -> str | None:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can connect to an address."""
+    """Return True if only this machine can connect to an address."""
     if host == "localhost":
         return True
     try:
@@ -68,8 +67,8 @@ class Access:
     token: str | None
 
     def is_token(self, text: str) -> bool:
-        """Whether a text is the token. The time of the comparison does not depend on the position of the first
-        difference."""
+        """Return True if ``text`` is the token. The comparison takes constant time, so that its duration reveals
+        nothing about the token."""
         return self.token is not None and hmac.compare_digest(text.encode(), self.token.encode())
 
     def refusal(self, headers: Message, cookie: str, given: str | None) -> str | None:
@@ -77,7 +76,7 @@ class Access:
 
         Args:
             headers: the headers of the request.
-            cookie: name of the cookie with the token.
+            cookie: name of the cookie that contains the token.
             given: the token in the address of the request, or None.
         """
         if self.token is None:
@@ -94,8 +93,8 @@ class Access:
         accepted.
 
         A page of another site must not control the training through the user's browser. The request therefore needs the
-        header X-Fourd-Request. A page of another site can send this header only if this server allows it, and this
-        server never allows it. If the request also names the origin of its page, the origin must be this server.
+        header X-Fourd-Request, because a browser lets pages of other sites send it only with this server's permission,
+        which the server never gives. If the request also has an Origin header, it must name this server.
         """
         if headers.get(REQUEST_HEADER) != "control":
             return f"Requests to a training need the header {REQUEST_HEADER}: control."
@@ -108,8 +107,8 @@ class Access:
     def _refuse_name(self, host: str) -> str | None:
         """Refuse a request whose Host header does not name this machine.
 
-        The owner of a domain can make the domain's name resolve to this machine (DNS rebinding). A browser would then
-        treat the pages of that domain as pages of this server.
+        This prevents DNS rebinding: the owner of a domain can make its name resolve to this machine, so that a browser
+        would treat pages of that domain as pages of this server.
         """
         name = _name_of(host)
         if name == self.host or is_loopback(name):

@@ -1,4 +1,4 @@
-"""The measurements of a run, read from ``metrics.jsonl`` while training appends to it."""
+"""Reads the measurements of a run from ``metrics.jsonl``, to which training may still append."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAX_READ_BYTES = 16 << 20
 """Maximum number of bytes that one call of :meth:`RunHistory.update` reads."""
 MAX_SERIES = 64
 MAX_NAME = 64
-"""Maximum number of characters of the name of a series."""
+"""Maximum number of characters in the name of a series."""
 MAX_STEP = 1 << 53
 _BINS = 300
 
@@ -37,12 +37,11 @@ class Series:
 
 
 class RunHistory:
-    """The series of a run's log. The log grows during training. When the run is resumed, a shorter log may replace the
-    old log.
+    """The series of a run's log, which grows during training. When the run is resumed, a shorter log may replace it.
 
     Attributes:
         series: the values by name. Values that are not finite numbers are left out.
-        broken: number of lines of the log that are not valid records.
+        broken: number of lines in the log that are not valid records.
     """
 
     def __init__(self, run: Path) -> None:
@@ -82,13 +81,12 @@ class RunHistory:
                 self._add(line)
             self._is_skipping = False
         if len(rest) > MAX_LINE_BYTES:
-            # The line is too long to be a record. The start of the line is skipped, so that the next call does not read
-            # it again.
+            # The line is too long to be a record. Its start is skipped, so that the next call does not read it again.
             self._offset += len(rest)
             self._is_skipping = True
 
     def last(self, name: str) -> float | None:
-        """The last value of a series, or None if the series has no values."""
+        """Return the last value of a series, or None if it has no values."""
         found = self.series.get(name)
         return found.values[-1] if found is not None and found.values else None
 
@@ -101,8 +99,8 @@ class RunHistory:
         """Return each series as the lists ``step`` and ``value``, with at most a few hundred entries.
 
         A longer series is divided into bins, and the steps and the values of each bin are averaged. Half of the bin
-        edges are evenly spaced, for detail on linear axes. The spacing of the other edges grows along the series, for
-        detail on logarithmic axes.
+        edges are evenly spaced, for detail on linear axes. The others are spaced geometrically, for detail on
+        logarithmic axes.
         """
         return {name: _binned(found) for name, found in sorted(self.series.items())}
 
@@ -153,5 +151,5 @@ def _binned(series: Series) -> dict[str, list[float]]:
 
 
 def _rounded(values: NDArray[np.float64]) -> list[float]:
-    """Return the values, rounded to seven significant digits."""
+    """Round the values to seven significant digits."""
     return [float(f"{value:.7g}") for value in values]

@@ -1,5 +1,5 @@
-"""A web server for the page of a run. The server sends the site and the data of the run to browsers, and forwards their
-requests to the training."""
+"""Serves the page of a run. The server sends the page and the run's data to browsers, and forwards their requests to
+the training."""
 
 from __future__ import annotations
 
@@ -21,13 +21,12 @@ _JSON = "application/json"
 
 
 class RunHandler(SiteHandler):
-    """Answers the requests of the pages of a run."""
+    """Answers the requests that the page of a run sends."""
 
     server: RunServer
 
     def do_POST(self) -> None:
-        # After a refusal, the server closes the connection, because the content of the refused request may still be
-        # unread.
+        # After a refusal, the server closes the connection, because the content of the request may still be unread.
         refusal = self._refusal(None) or self.server.access.refusal_of_control(self.headers)
         if refusal is not None:
             self._send_text(HTTPStatus.FORBIDDEN, refusal)
@@ -100,8 +99,8 @@ class RunHandler(SiteHandler):
         return self.server.access.refusal(self.headers, self.server.cookie, given)
 
     def _keep_token(self, path: str, query: dict[str, list[str]]) -> None:
-        """Store the token in a cookie, and open the same page without the token in its address. The token then does not
-        appear in the browser's history or in copied addresses."""
+        """Store the token in a cookie, and redirect to the same page without the token. This keeps the token out of the
+        browser's history and out of copied addresses."""
         rest = urlencode(query, doseq=True)
         self.send_response(HTTPStatus.SEE_OTHER)
         # A target with two leading slashes would redirect to another server.
@@ -138,7 +137,7 @@ class RunServer(SiteServer):
         port: port to listen on; 0 selects a free port.
 
     Attributes:
-        site: answers the requests of the page, or None until the site is written.
+        site: answers the requests of the page, or None until the page is written.
 
     Raises:
         UserError: if the server cannot listen on the host and port.
@@ -153,7 +152,7 @@ class RunServer(SiteServer):
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie that stores the token. The name contains the port, because browsers send a cookie to all
+        """Name of the cookie that stores the token. It contains the port, because browsers share cookies between all
         ports of a machine."""
         return f"fourd-{self.server_address[1]}"
 
@@ -163,7 +162,7 @@ class RunServer(SiteServer):
         return self.url + self._query
 
     def page_at(self, name: str) -> str:
-        """Address of the page under another name of this machine, with the token."""
+        """Return the address of the page, with the token, under another name of this machine."""
         return f"http://{name}:{self.server_address[1]}/{self._query}"
 
     @property
@@ -172,7 +171,7 @@ class RunServer(SiteServer):
 
 
 def _parse_query(query: str) -> dict[str, list[str]]:
-    """Return the query fields of an address. If an address has too many fields, the result is empty."""
+    """Return the query fields of an address, or an empty dict if it has too many fields."""
     try:
         return parse_qs(query, max_num_fields=8)
     except ValueError:
@@ -180,7 +179,7 @@ def _parse_query(query: str) -> dict[str, list[str]]:
 
 
 def _parse_request(content: bytes) -> tuple[str, str] | None:
-    """Return the session and the action in the content of a request, or None if the content is not valid."""
+    """Return the session and the action that a request contains, or None if its content is not valid."""
     try:
         found = json.loads(content)
     except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""The data of a run's page: state, curves, pictures and the scene."""
+"""Provides the data of a run's page: state, curves, validation images and the scene."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from fourd.viewer.publish.runs.status import MAX_PICTURES, ActiveRun, describe, 
 from fourd.viewer.publish.site import copy_training_page
 
 STATUS_SECONDS = 1.0
-"""Minimum time in seconds between two computations of the state and the curves of the run. Between two computations,
-all pages get the state and the curves that were computed last."""
+"""Minimum time in seconds between two computations of the run's state and curves. Requests in between get the last
+result."""
 ASKED_SECONDS = 10.0
-"""A scene is baked only if a page has requested it within this time, in seconds."""
+"""A new checkpoint is baked only if a page has requested the scene within this number of seconds."""
 BAKING_SHARE = 0.02
 """Maximum fraction of the machine's CPU time that baking uses while the run trains."""
 MAX_PICTURE_PIXELS = 1 << 26
@@ -43,7 +43,7 @@ _NICE = 19
 
 
 class Refused(Exception):
-    """Raised if a request to the training cannot be fulfilled. The message is a sentence for the user."""
+    """Raised if a request to the training cannot be fulfilled. Its message is a sentence for the user."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class RunSite:
 
     Args:
         run: the run's folder.
-        folder: the folder of the site. The folder must not exist.
+        folder: the folder to which the page is written. It must not exist.
         tier: tier with which the scene is packed.
         console: prints the progress of baking.
         styles: the styles that the player offers, by name. If None, the player offers the presets.
@@ -85,18 +85,18 @@ class RunSite:
         self._is_baking = False
 
     def status(self) -> bytes:
-        """The state of the run as JSON."""
+        """Return the state of the run as JSON."""
         return self._current().status
 
     def curves(self) -> bytes:
-        """The curves of the run as JSON."""
+        """Return the curves of the run as JSON."""
         return self._current().curves
 
     def picture(self, step: int, segment: int | None) -> bytes | None:
-        """Return a validation picture as JPEG, or None if there is no picture of this step.
+        """Return a validation image as JPEG, or None if there is no image of this step.
 
         Args:
-            step: the training step of the picture.
+            step: the training step of the image.
             segment: number of the segment, counted from 1, or None for a run without segments.
         """
         folder = self.run if segment is None else segment_folder(self.run, segment - 1)
@@ -116,7 +116,7 @@ class RunSite:
         return found
 
     def scene(self) -> bytes:
-        """Return the state of the scene as JSON. For some seconds after this call, new checkpoints are baked."""
+        """Return the state of the scene as JSON. New checkpoints are baked only for some seconds after each call."""
         self._asked = time.monotonic()
         version, error = self._scene.version, self._scene.error
         steps = [int(name.partition(".")[0]) for name in version.split()]
@@ -137,8 +137,8 @@ class RunSite:
             raise Refused(f"The request cannot be written into the folder of the run: {error}") from error
 
     def watch(self) -> None:
-        """Bake new checkpoints while pages request the scene. This method returns after a call of :meth:`stop`. The
-        calling thread gets the lowest priority, so that baking does not slow down training."""
+        """Bake new checkpoints while pages request the scene, until :meth:`stop` is called. On Linux, the calling
+        thread gets a low priority, so that baking does not slow down training."""
         if sys.platform == "linux":
             with suppress(OSError):
                 os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
@@ -160,11 +160,12 @@ class RunSite:
             is_busy = find_active(self.run).phase == "training"
             self._next_bake = time.monotonic() + (used / core_count() / BAKING_SHARE if is_busy else 0.0)
         finally:
-            # After the time of the next baking is known: a request in between would report that a new one has begun.
+            # This is reset only after _next_bake is set. Otherwise, a request between the two would report that the
+            # next baking has already started.
             self._is_baking = False
 
     def _current(self) -> _Answers:
-        """Return the answers, which are computed again at most once per second."""
+        """Return the answers, after computing them again if they are older than STATUS_SECONDS."""
         with self._lock:
             now = time.monotonic()
             if self._answers is None or now - self._answers.seconds >= STATUS_SECONDS:
@@ -187,7 +188,7 @@ def _require_running(active: ActiveRun, session: str, action: Action) -> None:
 
 
 def _read_picture(path: Path) -> bytes | None:
-    """Return a validation picture as a JPEG of moderate size, or None if the picture is missing or damaged."""
+    """Return a validation image as a JPEG of moderate size, or None if the image is missing, damaged or too large."""
     try:
         with open_regular(path) as stream, Image.open(stream, formats=("PNG",)) as picture:
             if picture.width * picture.height > MAX_PICTURE_PIXELS:

@@ -11,28 +11,26 @@ from fourd.training.run_layout import VALIDATION, segment_folders
 from fourd.viewer.publish.runs.history import RunHistory
 
 MAX_PICTURES = 24
-"""Number of validation pictures that the page offers."""
+"""Maximum number of validation images that the page offers."""
 _LEAST_SHARE = 1e-6
-"""The remaining time is estimated only after this fraction of the step or time budget of the training has been
-spent."""
+"""Fraction of the training's step or time budget that must be spent before the remaining time is estimated."""
 _DIGITS = 12
-"""Maximum number of digits of the step in the file name of a validation picture."""
+"""Maximum number of digits of the step in the file name of a validation image."""
 
 ShownPhase = Phase | Literal["ended", "idle"]
-"""The phase of a run. ``ended`` means that the training's process was killed before it wrote its last state. ``idle``
+"""The phase of a run. ``ended`` means that the training process was killed before it wrote its last state. ``idle``
 means that the run has no state."""
 
 
 @dataclass(frozen=True)
 class ActiveRun:
-    """The part of a run that is training, or that trained last. The part is the run itself, or one of its segments
-    (ranges of frames with separate models).
+    """The run or segment that is training, or that trained last. Segments are ranges of frames with separate models.
 
     Attributes:
         folder: the folder of the run or the segment.
         segment: number of the segment, counted from 1, or None for a run without segments.
         state: the last state of the training.
-        is_alive: whether the training's process is running.
+        is_alive: whether the training process is running.
     """
 
     folder: Path
@@ -50,7 +48,7 @@ class ActiveRun:
 
 
 def find_active(run: Path) -> ActiveRun:
-    """Return the part of a run that trains or, if nothing trains, the part with the newest state."""
+    """Return the run or segment that is training or, if none is, the one with the newest state."""
     folders = segment_folders(run)
     parts = [_active(folder, index) for index, folder in enumerate(folders, 1)] or [_active(run, None)]
     known = [part for part in parts if part.state is not None]
@@ -58,10 +56,9 @@ def find_active(run: Path) -> ActiveRun:
 
 
 def picture_steps(run: Path, last: int) -> list[int]:
-    """The steps of the newest validation pictures up to the step ``last``, in ascending order.
+    """Return the steps of the newest validation images up to the step ``last``, in ascending order.
 
-    Pictures of later steps come from a training that continued after its last checkpoint and was then killed, so they
-    are left out.
+    Images of later steps are left out. They come from a training run that was killed after its last checkpoint.
     """
     names = [path.stem for path in (run / VALIDATION).glob("*.png")]
     steps = sorted(int(name) for name in names if name.isdecimal() and len(name) <= _DIGITS)

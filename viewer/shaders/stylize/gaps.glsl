@@ -1,4 +1,4 @@
-// Fills the gaps between surfaces, as fill_gaps of fourd/ops/stylize/reference.py does. This text is also valid GLSL ES
+// Fills the gaps between surfaces, as fill_gaps in fourd/ops/stylize/reference.py does. This code is also valid GLSL ES
 // 3.00.
 
 uniform sampler2D inverse_depth;
@@ -11,8 +11,8 @@ const int GAP = 3;  // A pixel is filled if it has surfaces on both sides within
 
 ivec2 inside(ivec2 pixel) { return clamp(pixel, ivec2(0), textureSize(inverse_depth, 0) - 1); }
 
-// Within GAP pixels in a direction, finds the surface that is nearest to the camera. Returns the inverse depth of this
-// surface, and stores its pixel in `found`.
+// Finds the surface nearest to the camera within GAP pixels in a direction. Returns its inverse depth, and stores its
+// pixel in `found`.
 float nearest(ivec2 pixel, ivec2 direction, out ivec2 found) {
     float best = 0.0;
     found = pixel;
@@ -27,8 +27,8 @@ float nearest(ivec2 pixel, ivec2 direction, out ivec2 found) {
     return best;
 }
 
-// Fills a pixel along an axis if the surfaces on both sides are nearer to the camera than the surface at the pixel.
-// Then `depth` and `source` become the inverse depth and the pixel of the farther one of the two surfaces.
+// Fills a pixel along an axis if the surfaces on both sides are nearer to the camera than the surface at the pixel. In
+// this case, sets `depth` and `source` to the inverse depth and the pixel of the farther one of these two surfaces.
 void fill(ivec2 pixel, ivec2 axis, inout float depth, inout ivec2 source) {
     ivec2 first_at, second_at;
     float first = nearest(pixel, -axis, first_at), second = nearest(pixel, axis, second_at);

@@ -1,6 +1,6 @@
-// Finds lines, as find_lines of fourd/ops/stylize/reference.py does. This text is also valid GLSL ES 3.00.
+// Finds lines, as find_lines in fourd/ops/stylize/reference.py does. This code is also valid GLSL ES 3.00.
 
-uniform float ray[6];  // The first two rows of the inverse intrinsic matrix, one after the other.
+uniform float ray[6];  // The first two rows of the inverse intrinsic matrix.
 uniform sampler2D closed_depth;
 uniform sampler2D closed_normal;
 uniform int line_filter;  // 0 for none, 1 for Sobel, 2 for the cross filter.
@@ -12,12 +12,12 @@ uniform bool has_state;               // Whether the previous image has the same
 uniform float hysteresis;
 uniform float persistence;
 
-// The surface at a pixel counts as unchanged if the sum of the inverse depths of its taps differs by at most this
-// fraction from the sum in the previous image. csrc/stylize/cpu/lines.inc has the same rule.
+// The surface at a pixel counts as unchanged if the summed inverse depths of its taps differ by at most this fraction
+// from the sum in the previous image. csrc/stylize/cpu/lines.inc has the same rule.
 const float SAME_TAPS = 0.03;
 
-// Let m be the largest dot product of a tap's normal and the pixel's ray. The strength of a line decreases from its
-// full value at m = 0 to 0 at m = 1 / FRONT_SLOPE.
+// Slope with which lines fade out at surfaces that face away from the camera. Let m be the largest dot product of the
+// pixel's ray and a tap's normal. A line has its full strength at m = 0, and strength 0 at m = 1 / FRONT_SLOPE.
 const float FRONT_SLOPE = 8.0;
 
 // Returns the ray of a pixel in camera axes, scaled to depth 1.
@@ -28,7 +28,7 @@ vec3 ray_of(ivec2 pixel) {
 
 vec4 unpack_normal(vec4 texel) { return vec4((floor(255.0 * texel.xyz + 0.5) - 128.0) / 127.0, texel.w); }
 
-// Returns a linear ramp, from 0 at the threshold to 1 at 1.5 times the threshold.
+// Returns a value that increases linearly from 0 at the threshold to 1 at 1.5 times the threshold.
 float ramp(float value, float threshold) { return clamp(2.0 * (value / threshold - 1.0), 0.0, 1.0); }
 
 ivec2 tap_pixel(ivec2 pixel, ivec2 steps) {
@@ -39,8 +39,8 @@ float tap_depth(ivec2 pixel, int right, int down) {
     return texelFetch(closed_depth, tap_pixel(pixel, ivec2(right, down)), 0).r;
 }
 
-// Returns the inverse depth of a tap, and the cosine between the tap's normal and `normal`. Both results are multiplied
-// by the coverage of the tap.
+// Returns the inverse depth of a tap, and the cosine between its normal and `normal`, both multiplied by the coverage
+// of the tap.
 vec2 tap(ivec2 pixel, ivec2 steps, vec3 normal) {
     ivec2 at = tap_pixel(pixel, steps);
     vec4 other = unpack_normal(texelFetch(closed_normal, at, 0));
@@ -69,8 +69,8 @@ float cross_lines(ivec2 pixel, vec3 normal, float coverage, float scale) {
         ivec2 side = axis == 0 ? ivec2(0, 1) : ivec2(1, 0);
         vec2 first = tap(pixel, -side, normal), second = tap(pixel, side, normal);
         int at = axis == 0 ? pixel.y : pixel.x, count = axis == 0 ? size.y : size.x;
-        // Taps outside the image repeat the border. At the border, the second difference would therefore look like a
-        // bend of the surface, so it is left out.
+        // The second difference is left out at the border, where it would look like a bend in the surface, because taps
+        // outside the image repeat the border.
         if (at >= thickness && at < count - thickness) bend += abs(first.x + second.x - 2.0 * depth);
         most = max(most, max(first.x, second.x));
         flatness *= 1.0 - ramp(coverage - first.y, normal_threshold * scale);
@@ -79,8 +79,8 @@ float cross_lines(ivec2 pixel, vec3 normal, float coverage, float scale) {
     return 1.0 - flatness * (1.0 - ramp(bend / (2.0 * most), depth_threshold * scale));
 }
 
-// Returns the factor by which a line's strength is multiplied. The factor decreases to 0 if a tap shows the back of a
-// surface through a hole between points. If any tap shows no surface, the factor is 1.
+// Returns the factor by which a line's strength is multiplied. To suppress false lines, it decreases to 0 if a tap
+// shows the back of a surface through a hole between points. If any tap shows no surface, the factor is 1.
 float kept_line(ivec2 pixel) {
     vec3 towards = ray_of(pixel);
     float away = 0.0, coverage = 1.0;
@@ -96,8 +96,8 @@ float kept_line(ivec2 pixel) {
     return max(1.0 - FRONT_SLOPE * away, 1.0 - coverage);
 }
 
-// Returns the strength, in [0, 1], of the line at a pixel. The strength does not depend on the previous image. The
-// thresholds are multiplied by `scale`.
+// Returns the strength, in [0, 1], of the line at a pixel, independently of the previous image. The thresholds are
+// multiplied by `scale`.
 float fresh_line(ivec2 pixel, float scale) {
     vec4 own = unpack_normal(texelFetch(closed_normal, pixel, 0));
     vec3 normal = own.xyz * own.w;
@@ -113,8 +113,8 @@ uint summed_taps(ivec2 pixel) {
     return floatBitsToUint((corners + arms) + tap_depth(pixel, 0, 0)) & 0xffff0000u;
 }
 
-// Returns the state of the line at a pixel. Where the previous image has a line, the thresholds are lower than elsewhere.
-// Where the surface has not changed, lines gain strength slowly.
+// Returns the state of the line at a pixel. To avoid flicker, thresholds are lower where the previous image has a line,
+// and lines gain strength slowly where the surface has not changed.
 uint find_line(ivec2 pixel) {
     if (line_filter == 0) return 0u;
     uint old = has_state ? texelFetch(line_state, pixel, 0).r : 0u;

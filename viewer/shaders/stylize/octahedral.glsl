@@ -1,7 +1,7 @@
-// Decodes normals, as decode_octahedral of fourd/stylize/normals.py does. Also computes the weights of points, as
-// front_weight of fourd/ops/stylize/reference.py does. This text is also valid GLSL ES 3.00.
+// Decodes normals, as decode_octahedral in fourd/stylize/normals.py does, and computes the weights of points, as
+// front_weight in fourd/ops/stylize/reference.py does. This code is also valid GLSL ES 3.00.
 
-// Returns the unit normal of a texel. The components of the texel are bytes / 255.
+// Returns the unit normal of a texel, whose channels are bytes / 255.
 vec3 decode_octahedral(vec2 texel) {
     vec2 plane = (texel * 255.0 - 128.0) / 127.0;
     float z = 1.0 - abs(plane.x) - abs(plane.y), folded = max(-z, 0.0);
@@ -11,8 +11,8 @@ vec3 decode_octahedral(vec2 texel) {
 
 const float BACK_WEIGHT = 0.1;
 
-// Returns the weight with which a point contributes to the depth and the normal of the visible surface. The weight is
-// larger if the front of the point's surface faces the camera. `normal` and `position` are in camera axes.
+// Returns the weight with which a point contributes to the depth and the normal of the visible surface. It is larger
+// for points that face the camera. `normal` and `position` are in camera axes.
 float front_weight(vec3 normal, vec3 position) {
     float cosine = -dot(normal, position) / max(length(position), 1e-10);
     return BACK_WEIGHT + (1.0 - BACK_WEIGHT) * clamp(0.5 + 5.0 * cosine, 0.0, 1.0);

@@ -1,5 +1,5 @@
-// Draws lines over a shaded picture. Specks are left out, as in remove_specks of fourd/ops/stylize/reference.py. This
-// text is also valid GLSL ES 3.00.
+// Draws lines over a shaded image, except for specks (very short lines), as remove_specks in
+// fourd/ops/stylize/reference.py does. This code is also valid GLSL ES 3.00.
 
 uniform sampler2D shaded;
 uniform highp usampler2D lines;  // The state of the lines, in the layout of csrc/stylize/stylize.h.
@@ -9,16 +9,16 @@ uniform vec3 line_colour;
 
 out vec4 picture;
 
-// A line continues at a pixel if its strength there, from 0 to 255, is at least this value.
+// Minimum strength, from 0 to 255, at which a line counts as continuing through a pixel.
 const uint LEAST_STRENGTH = 32u;
 
-// Returns the strength of a line from 0 to 255. There are no lines outside the picture.
+// Returns the strength, from 0 to 255, of the line at a pixel. There are no lines outside the image.
 uint strength_at(ivec2 pixel) {
     bool is_outside = any(lessThan(pixel, ivec2(0))) || any(greaterThanEqual(pixel, textureSize(lines, 0)));
     return is_outside ? 0u : texelFetch(lines, pixel, 0).r & 255u;
 }
 
-// Returns whether a line of at least LEAST_STRENGTH crosses the border of a square around a pixel. The border is
+// Returns true if a line of at least LEAST_STRENGTH crosses the border of a square around a pixel. The border is
 // `reach` pixels away from this pixel.
 bool reaches_square(ivec2 pixel, int reach) {
     for (int along = -reach; along <= reach; ++along) {

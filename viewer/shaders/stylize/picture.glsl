@@ -1,5 +1,5 @@
-// Shades a surface with filled gaps in a style, and finds the lines of the picture. lines.glsl and shading.glsl must
-// precede this text. This text is also valid GLSL ES 3.00.
+// Shades a surface whose gaps are filled, and finds its lines. lines.glsl and shading.glsl must precede this code,
+// which is also valid GLSL ES 3.00.
 
 uniform sampler2D albedo;
 uniform vec3 paper;

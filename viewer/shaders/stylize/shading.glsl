@@ -1,6 +1,6 @@
-// Shades a pixel, as stylize_reference of fourd/ops/stylize/reference.py does. This text is also valid GLSL ES 3.00.
-// The uniforms have the names and units of the class Numbers in fourd/ops/stylize/parameters.py. lines.glsl must
-// precede this text.
+// Shades a pixel, as stylize_reference in fourd/ops/stylize/reference.py does. The uniforms have the names and units of
+// the class Numbers in fourd/ops/stylize/parameters.py. lines.glsl must precede this code, which is also valid GLSL ES
+// 3.00.
 
 uniform vec3 light;
 uniform float table_alone;
@@ -16,7 +16,7 @@ uniform float hatch_spacing;
 uniform vec2 hatch_levels;
 uniform float hatch_width;
 uniform vec3 hatch_colour;
-uniform sampler2D table;  // The tone selects the column, and the detail selects the row.
+uniform sampler2D table;  // The shade table, in which the tone selects the column and the detail selects the row.
 // The quantity that selects the table row: 0 for the cosine between normal and viewing direction, 1 for the depth, 2
 // for the distance from the focus.
 uniform int detail_axis;
@@ -38,14 +38,14 @@ float hatch_layer(float position, float level, float brightness) {
     return wide > 0.0 ? unit((wide - distance) * hatch_spacing * 0.5 + 0.5) : 0.0;
 }
 
-// Returns the fraction of a pixel that hatching covers with ink. `position` is in pixels.
+// Returns the fraction of the pixel at `position` (in pixels) that hatching covers with ink.
 float hatching(vec2 position, float brightness) {
     float first = hatch_layer(position.x + 0.5 * position.y, hatch_levels.x, brightness);
     return max(first, hatch_layer(16384.0 + position.x - 0.7 * position.y, hatch_levels.y, brightness));
 }
 
-// Returns the colour of a surface. `own` is the captured colour of the surface. `normal` is the unit normal, or 0 where
-// there is no surface. `inverse_depth` is in 1 / world units.
+// Returns the colour of a surface with the captured colour `own`. `normal` is the unit normal, or 0 where there is no
+// surface. `inverse_depth` is in 1 / world units.
 vec3 shade(ivec2 pixel, vec3 own, vec3 normal, float inverse_depth) {
     vec3 towards = ray_of(pixel);
     float facing = unit(-dot(normal, towards) / sqrt(dot(towards, towards)));

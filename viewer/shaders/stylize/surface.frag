@@ -1,6 +1,6 @@
 #version 330 core
-// Converts composited colours, normals and depths to the visible surface (class Surface of
-// fourd/ops/stylize/parameters.py). Row 0 of the result is the top of the image. This text is also valid GLSL ES 3.00.
+// Converts composited colours, normals and depths to the visible surface (class Surface in
+// fourd/ops/stylize/parameters.py). Row 0 of the result is the top of the image. This code is also valid GLSL ES 3.00.
 
 uniform sampler2D colours;  // Colours, normals and depths are premultiplied by alpha.
 uniform sampler2D normals;    // Normals times front_weight.
@@ -9,15 +9,15 @@ uniform float depth_unit;     // Length of the unit of `depths`, in world units.
 uniform bool is_upside_down;  // Whether row 0 of the inputs is the bottom of the image.
 uniform sampler2D old_inverse_depth;
 uniform sampler2D old_normal;
-uniform float persistence;  // Weight of the previous image's surface. With weight 0, the previous surface is ignored.
+uniform float persistence;  // Weight of the previous image's surface, or 0 to ignore it.
 
 layout(location = 0) out vec4 albedo;
 layout(location = 1) out float inverse_depth;
 layout(location = 2) out vec4 normal;
 
-// Two successive images show the same surface at a pixel if two conditions are met: the relative difference of the
-// inverse depths is at most SAME_DEPTH, and the cosine between the normals is at least SAME_NORMAL.
-// csrc/points/cpu/surface.inc has the same rule.
+// Two successive images show the same surface at a pixel if their inverse depths differ by at most the fraction
+// SAME_DEPTH, and the cosine between their normals is at least SAME_NORMAL. csrc/points/cpu/surface.inc has the same
+// rule.
 const float SAME_DEPTH = 0.02;
 const float SAME_NORMAL = 0.8;
 

@@ -6,10 +6,10 @@ import { damaged, inflate, inflateExactly } from "./inflate.js";
  * @typedef {object} CloudBase
  * @property {number} points
  * @property {Float32Array<ArrayBuffer>} xyz (N, 3) in world units.
- * @property {Uint32Array<ArrayBuffer>} sizes One number per point: radius code in the low 16 bits, density code in the
- *   next 8 bits.
- * @property {Int16Array<ArrayBuffer>} factors (K, N): for each point, the factors by which the K rows of the spherical
- *   harmonics' basis are multiplied.
+ * @property {Uint32Array<ArrayBuffer>} sizes One number per point, with the radius code in the low 16 bits and the
+ *   density code in the next 8 bits.
+ * @property {Int16Array<ArrayBuffer>} factors (K, N): the factors by which each point multiplies the K rows of the
+ *   basis of its spherical harmonics.
  * @property {Uint8Array<ArrayBuffer>} mean (N, 4) mean colour over the source views; the fourth byte is 0.
  * @property {number} largestRadius Largest radius of a point in world units.
  */
@@ -17,8 +17,8 @@ import { damaged, inflate, inflateExactly } from "./inflate.js";
 /** Upper limit of radii in world units, so that projected radii are finite floats. */
 const MAX_RADIUS = 1e18;
 
-/** Lookup table for 12 bits of a Morton code. In an entry, the lowest 4 bits are bits of x, the next 4 of y, and the
- * highest 4 of z. */
+/** Lookup table that gathers the coordinate bits of 12 bits of a Morton code. The lowest 4 bits of an entry belong to
+ * x, the next 4 to y, and the highest 4 to z. */
 const GATHERED = gatherTable();
 
 function gatherTable() {
@@ -99,7 +99,7 @@ function addLevels(content, colours, mean, encoding) {
     const level = content[green];
     const red = (content[green + colours] + level) << 24 >> 24;
     const blue = (content[green + 2 * colours] + level) << 24 >> 24;
-    // With a colour step of 1, sums are modulo 256. With larger steps, sums are clamped to the range from 0 to 255.
+    // If the colour step is 1, sums are modulo 256. For larger steps, they are clamped to the range from 0 to 255.
     const target = step === 1 ? wrapped : rgba;
     target[at] = mean[at] + step * red;
     target[at + 1] = mean[at + 1] + step * (level << 24 >> 24);
@@ -117,8 +117,8 @@ function countNonzero(codes) {
 }
 
 /**
- * Adds up the differences of Morton codes, and gathers the bits of each coordinate. The codes have up to 63 bits, so a
- * sum is stored in three integers of 24 bits. Each integer contains 8 bits of each coordinate.
+ * Adds up the differences of Morton codes, and gathers the bits of each coordinate. As codes have up to 63 bits, a sum
+ * is stored in three 24-bit integers, each of which contains 8 bits of every coordinate.
  * @param {Uint8Array} content
  * @param {number} points
  * @param {CloudEncoding} encoding

@@ -8,21 +8,21 @@ import { damaged, inflate } from "./inflate.js";
 /**
  * The decoded image of a source view. Plane 0 is Y. Planes 1 and 2 are Cb and Cr, with half the width and height.
  * @typedef {object} ViewImage
- * @property {number} left Column of the camera's grid of texels at which the image starts.
+ * @property {number} left Column of the camera's texel grid at which the image starts.
  * @property {number} top
  * @property {Plane[]} planes
  */
 
 /**
- * A plane of 8-bit values in `bytes`. `offset` is the index of the first value. `stride` and `step` are the numbers of
- * bytes from one row to the next, and from one value of a row to the next.
+ * A plane of 8-bit values in `bytes`, whose first value is at index `offset`. `stride` is the number of bytes from one
+ * row to the next, and `step` from one value to the next in a row.
  * @typedef {{bytes: Uint8Array, offset: number, stride: number, step: number, width: number, height: number}} Plane
  */
 
 /** @typedef {{left: number, top: number, width: number, height: number, frame: Uint8Array}} StoredImage */
 
-/** Size of the header in bytes. The header contains the left column, top row, width and height of the image in texels
- * (16 bits each), and the size of the VP9 frame in bytes (32 bits). */
+/** Size of the header in bytes. It contains the left column, top row, width and height of the image in texels (16 bits
+ * each), and the size of the VP9 frame in bytes (32 bits). */
 const HEADER = 12;
 /** The texel value that encodes a colour difference of 0. */
 const ZERO = 128;
@@ -38,7 +38,8 @@ const GREEN_FROM_CR = -0.714136;
 const BLUE_FROM_CB = 1.772;
 
 /**
- * Decodes the source views of a cloud whose colours are sampled from images. docs/formats.md describes the format.
+ * Decodes the source views of a cloud whose colours are sampled from images, in the format that docs/formats.md
+ * describes.
  * @param {{view: number, member: Uint8Array, camera: Camera}[]} views
  * @param {{xyz: Float32Array, mean: Uint8Array}} base Positions (N, 3) and mean colours (N, 4).
  * @param {number} scale Number of texels per camera pixel, along each axis.
@@ -101,7 +102,7 @@ function parseImage(content, camera, scale, name) {
 }
 
 /**
- * Checks that a frame is a single, visible key frame of VP9 (profile 0) with the declared size.
+ * Checks that a frame is a single, visible VP9 key frame (profile 0) of the declared size.
  * @param {Uint8Array} frame
  * @param {number} width
  * @param {number} height
@@ -226,7 +227,7 @@ function projection({ intrinsics: k, rotation: r, translation: t }, scale) {
 }
 
 /**
- * Samples a plane. Texel centres are at half-integers. Beyond the border of the plane, the border texels are repeated.
+ * Samples a plane bilinearly. Texel centres are at half-integers. Beyond the border, the border texels are repeated.
  * @param {Plane} plane
  * @param {number} x
  * @param {number} y

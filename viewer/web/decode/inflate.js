@@ -19,7 +19,7 @@ export async function inflate(member, largest, name) {
   }
   const stream = new DecompressionStream("deflate");
   const writer = stream.writable.getWriter();
-  // If writing to the stream fails, reading also fails, so errors of the writer can be ignored.
+  // Errors of the writer can be ignored, because reading fails whenever writing to the stream fails.
   writer.write(/** @type {Uint8Array<ArrayBuffer>} */ (member)).catch(() => {});
   writer.close().catch(() => {});
   const reader = stream.readable.getReader();

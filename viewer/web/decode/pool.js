@@ -7,7 +7,7 @@ import { SceneError } from "../scene/errors.js";
  * @typedef {{kind: "base", folder: string, points: number, encoding: CloudEncoding,
  *   members: {points: Uint8Array, sh: Uint8Array, colour: Uint8Array | null}}} BaseRequest
  * @typedef {{kind: "views", folder: string, encoding: CloudEncoding, mean: Uint8Array, xyz: Float32Array | null,
- *   views: {view: number, member: Uint8Array, camera: Camera}[]}} ViewsRequest `xyz` is only needed if colours are
+ *   views: {view: number, member: Uint8Array, camera: Camera}[]}} ViewsRequest `xyz` is needed only if colours are
  *   sampled from images.
  * @typedef {{kind: "shadow" | "normals", size: number, name: string, member: Uint8Array}} BytesRequest
  * @typedef {(BaseRequest | ViewsRequest | BytesRequest) & {id?: number}} DecodeRequest

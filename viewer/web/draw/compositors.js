@@ -3,7 +3,7 @@ import { COPY_FRAGMENT, FULL_SCREEN_VERTEX, NO_DEPTH, PEEL_FRAGMENT, RANK_DEPTH,
 import { Target, blendUnder, requireFloatTargets } from "./targets.js";
 /** @typedef {import("./discs.js").Discs} Discs */
 
-/** A rank that is larger than the rank of every layer. */
+/** A number larger than the rank of every layer. A rank is a position in depth order, counted from 1. */
 const NONE = 1e9;
 
 /**
@@ -14,9 +14,8 @@ const NONE = 1e9;
  */
 
 /**
- * Composites up to K discs per pixel in one pass. The discs are drawn from the nearest to the farthest. Each disc is
- * blended behind the earlier discs. The stencil buffer counts the discs of each pixel, so that exactly the K nearest
- * discs are composited.
+ * Composites up to K discs per pixel in one pass. Discs are drawn from the nearest to the farthest, and each is blended
+ * behind the earlier ones. The stencil buffer counts the discs per pixel, so that exactly the K nearest are composited.
  * @implements {Compositor}
  */
 export class SortedCompositor {
@@ -25,8 +24,8 @@ export class SortedCompositor {
    * @param {Discs} discs
    * @param {{fragment?: string, depth?: string, outputs?: number, pass?: import("./discs.js").DiscPass}} [options]
    *   `fragment` is the fragment shader of the discs, `depth` is the GLSL expression of their depth, and `outputs` is
-   *   the number of textures (RGBA16F) that the shader draws into. If `pass` is given, its programs draw the discs, and
-   *   `fragment` and `depth` are not used.
+   *   the number of textures (RGBA16F) that the shader draws into. If `pass` is given, its programs draw the discs
+   *   instead, and `fragment` and `depth` are ignored.
    */
   constructor(gl, discs, { fragment = SORTED_FRAGMENT, depth = NO_DEPTH, outputs = 1, pass } = {}) {
     requireFloatTargets(gl, "EXT_color_buffer_half_float");
@@ -50,7 +49,7 @@ export class SortedCompositor {
   }
 
   /**
-   * Does the same as `draw`, but returns the textures of all outputs.
+   * Draws as `draw` does, but returns the textures of all outputs.
    * @param {number} width
    * @param {number} height
    * @param {number} layers
@@ -86,8 +85,8 @@ export class SortedCompositor {
 }
 
 /**
- * Depth peeling (Everitt 2001), as in 4K4D. Each of the K passes finds the next layer of every pixel. This method is
- * exact and slow.
+ * Depth peeling (Everitt 2001), as in 4K4D. Each of the K passes finds the next depth layer of every pixel, which is
+ * exact but slow.
  * @implements {Compositor}
  */
 export class PeelingCompositor {

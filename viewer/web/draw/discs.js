@@ -7,14 +7,14 @@ import { MAX_BLENDED, NO_FRAGMENT, SHADE_VERTEX, quadVertex, spriteVertex } from
 const BYTES_PER_DISC = 32;
 
 /**
- * The programs of a pass that draws discs. Sprites need a quarter of the vertices of quads, but drivers limit the size
- * of sprites. The pass of a style has its own vertex arrays, which also contain normals.
+ * The programs of a pass that draws discs. Sprites need a quarter of the vertices of quads, but drivers limit their
+ * size, so large discs are drawn as quads. The pass of a style has its own vertex arrays, which also contain normals.
  * @typedef {{sprite: import("./gl.js").Program, quad: import("./gl.js").Program, arrays?: DiscArrays}} DiscPass
  */
 
 /** Vertex arrays of the discs. @typedef {{sprite: WebGLVertexArrayObject, quad: WebGLVertexArrayObject}} DiscArrays */
 
-/** The projected and shaded points, in depth order. All passes of an image draw these points. */
+/** The projected and shaded points in depth order, which all passes of an image draw. */
 export class Discs {
   /**
    * @param {WebGL2RenderingContext} gl
@@ -82,7 +82,7 @@ export class Discs {
   }
 
   /**
-   * Runs the current vertex shader for all points, in depth order, and stores the outputs of the shader.
+   * Runs the current vertex shader for all points in depth order, and stores its outputs.
    * @param {WebGLTransformFeedback} feedback
    * @param {WebGLBuffer} buffer
    */
@@ -120,7 +120,7 @@ export class Discs {
     program.floats({ ...floats, size: [width, height] });
     if (isSprite) {
       program.floats({ margin });
-      // WebGL drops sprites whose centre is outside the viewport, so the viewport extends past the image.
+      // The viewport extends past the image, because WebGL drops sprites whose centre is outside the viewport.
       gl.viewport(-margin, -margin, width + 2 * margin, height + 2 * margin);
       gl.bindVertexArray(arrays.sprite);
       gl.drawArrays(gl.POINTS, 0, this.count);

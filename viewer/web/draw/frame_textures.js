@@ -7,8 +7,7 @@ import { FULL_SCREEN_VERTEX, HARMONICS_FRAGMENT, TEXELS_PER_ROW } from "./shader
 /** @typedef {import("../decode/cloud.js").CloudBase} CloudBase */
 
 /**
- * A decoded cloud: the points, their colours in some source views, and, if they are needed, their octahedral normals
- * (N, 2).
+ * A decoded cloud: the points, their colours in some source views and, if needed, their octahedral normals (N, 2).
  * @typedef {{base: CloudBase, views: Map<number, Uint8Array<ArrayBuffer>>, normals: Uint8Array<ArrayBuffer> | null}} Cloud
  */
 
@@ -17,7 +16,7 @@ const BASIS_FLOATS = 4 * (SH_NUMBERS * 12 + 12);
 
 /**
  * Textures with the points of one frame and of the background. Dynamic points come first. The background starts at a
- * new row of the textures, so that it is uploaded only once.
+ * fixed row, so that it needs to be uploaded only once.
  */
 export class FrameTextures {
   /**
@@ -88,7 +87,7 @@ export class FrameTextures {
   /**
    * Uploads the normals that have changed.
    * @param {(Cloud | null)[]} clouds
-   * @returns {WebGLTexture} RG8: the bytes of the octahedral normals. The texture exists only for styles.
+   * @returns {WebGLTexture} RG8: the bytes of the octahedral normals. Only styles need this texture.
    */
   loadNormals(clouds) {
     const { gl } = this;
@@ -233,8 +232,8 @@ export class FrameTextures {
 }
 
 /**
- * Returns the index of the first background point. The points of a frame and of the background are stored in the same
- * textures, and the background starts at a new row.
+ * Returns the index of the first background point in the textures, which store the points of a frame first. The
+ * background starts at a new row, which is the same for all frames.
  * @param {Manifest} manifest
  */
 export function backgroundFirst(manifest) {

@@ -144,7 +144,7 @@ export function makeFramebuffer(gl, textures, depth) {
 }
 
 /**
- * Sets all WebGL state that affects how the player draws, because another program may have changed this state.
+ * Sets all WebGL state that affects how the player draws. This is needed because another program may have changed it.
  * @param {GL} gl
  */
 export function setInitialState(gl) {

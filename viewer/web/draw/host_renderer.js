@@ -11,15 +11,15 @@ import { FULL_SCREEN_VERTEX } from "./shaders.js";
  * Describes where an image is drawn in the framebuffer of another program (the host).
  * @typedef {object} HostTarget
  * @property {WebGLFramebuffer | null} framebuffer Null stands for the canvas.
- * @property {[number, number]} corner Pixel (x, y) of the framebuffer at the image's bottom left corner.
- * @property {[number, number]} depthRange Numbers a and b. A point at depth z has the depth a + b / z in normalised
- *   device coordinates.
+ * @property {[number, number]} corner Framebuffer pixel (x, y) at the image's bottom left corner.
+ * @property {[number, number]} depthRange Numbers a and b, with which a point at depth z has the depth a + b / z in
+ *   normalised device coordinates.
  * @property {WebGLTexture | null} depthTexture Depth of the host's objects, with one texel per pixel of the
  *   framebuffer.
  * @property {boolean} writesDepth
  */
 
-/** Draws pictures over the content of another program's framebuffer, with correct occlusion. */
+/** Draws images over the content of another program's framebuffer, with correct occlusion. */
 export class HostRenderer {
   /**
    * @param {WebGL2RenderingContext} gl
@@ -33,7 +33,7 @@ export class HostRenderer {
     this.colour = makeProgram(gl, FULL_SCREEN_VERTEX, HOST_COLOUR_FRAGMENT);
     this.depth = makeProgram(gl, FULL_SCREEN_VERTEX, HOST_DEPTH_FRAGMENT);
     this.emptyArray = gl.createVertexArray();
-    /** Compositors by their number of outputs: 1 for colour, 2 for colour and depth. @type {Map<number,
+    /** Compositors by number of outputs, which is 1 for colour, or 2 for colour and depth. @type {Map<number,
      * SortedCompositor>} */
     this.compositors = new Map();
   }

@@ -1,17 +1,17 @@
 import { DISC, HEADER, pixelFilter } from "./shaders.js";
 
-/** GLSL expression of the depth of a disc, in the normalised device coordinates of the host. */
+/** GLSL expression of a disc's depth in the host's normalised device coordinates. */
 export const HOST_DEPTH = "depth_range.x + depth_range.y / disc.z";
 
 /**
- * Outputs the premultiplied colour of a disc, unless the disc is behind the host's depth.
+ * Outputs the premultiplied colour of a disc, unless the disc is behind the host's objects.
  * The second output contains `depth / unit_depth * alpha` and alpha. The division by `unit_depth` keeps depths in the
  * range of float16.
  */
 export const HOST_DISC_FRAGMENT = `${HEADER}${DISC}
 uniform bool tests_depth;
 uniform sampler2D host_depth;
-uniform vec2 host_corner;  // Texel of host_depth that belongs to the image's top left pixel.
+uniform vec2 host_corner;  // Texel of host_depth at the image's top left pixel.
 uniform float unit_depth;
 layout(location = 0) out vec4 colour;
 layout(location = 1) out vec4 weighted_depth;
@@ -40,7 +40,7 @@ void main() {
 }
 `;
 
-/** Outputs the mean depth of the points at pixels where the filtered image has an alpha of at least 0.5. */
+/** Outputs the points' mean depth at pixels where the filtered image has an alpha of at least 0.5. */
 export const HOST_DEPTH_FRAGMENT = `${HEADER}
 uniform sampler2D weighted_depth;
 uniform vec2 corner;

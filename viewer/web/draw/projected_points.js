@@ -5,10 +5,11 @@ import { FrameTextures } from "./frame_textures.js";
 /** @typedef {import("./frame_textures.js").Cloud} Cloud */
 
 /**
- * A picture to draw: points, camera, and blending settings.
+ * The content of an image to draw: points, camera, and blending settings.
  * @typedef {object} Picture
  * @property {(Cloud | null)[]} clouds Dynamic points and background.
- * @property {Uint8Array | null} shadow Factors of the colours of the M background points (M,), in units of 1/128.
+ * @property {Uint8Array | null} shadow Factors (M,), in units of 1/128, that multiply the colours of the M background
+ *   points.
  * @property {import("../sort/sorter.js").SortedPoints} order
  * @property {Camera} camera The image has the size of this camera.
  * @property {{views: number[], weights: number[]}} selection Source views and their view weights.
@@ -35,7 +36,7 @@ export class ProjectedPoints {
     const layers = this.textures.load(picture.clouds, picture.shadow, views);
     const loaded = views.map((view, index) => ({ layer: layers.get(view), weight: weights[index] }));
     const usable = /** @type {{layer: number, weight: number}[]} */ (loaded.filter(({ layer }) => layer !== undefined));
-    // If no selected view is loaded, the points have their mean colours, which are in layer 0.
+    // If no selected view is loaded, points are drawn in their mean colours, which are in layer 0.
     const blended = usable.length ? usable : views.length ? [{ layer: 0, weight: 1 }] : [];
     this.discs.project(
       this.textures,

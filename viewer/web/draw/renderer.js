@@ -8,7 +8,7 @@ import { StyledDrawing } from "../stylize/styled_drawing.js";
 /** @typedef {import("./projected_points.js").Picture} Picture */
 /** @typedef {import("../stylize/styled_drawing.js").ReadyStyle} ReadyStyle */
 
-/** @typedef {"sorted" | "reference"} Mode Compositing in one pass, or exact depth peeling. */
+/** @typedef {"sorted" | "reference"} Mode One-pass compositing of sorted discs, or exact depth peeling. */
 
 /** Draws pictures into a canvas with WebGL 2. */
 export class CanvasRenderer {
@@ -40,7 +40,7 @@ export class CanvasRenderer {
    * @param {Picture} picture
    * @param {Mode} mode
    * @param {[number, number, number]} background Colour in [0, 1].
-   * @param {ReadyStyle | null} [style] Ignored until the normals of all points are loaded. Pictures in a style are
+   * @param {ReadyStyle | null} [style] Ignored until the normals of all points are loaded. Images in a style are
    *   always composited in one pass.
    */
   draw(picture, mode, background, style = null) {
@@ -58,7 +58,7 @@ export class CanvasRenderer {
   }
 
   /**
-   * Returns the pixels of the canvas. The canvas must have been drawn in the same task.
+   * Returns the pixels of the canvas, which must have been drawn in the same task.
    * @returns {Uint8Array} (height, width, 4), row 0 at the top.
    */
   readPixels() {

@@ -1,6 +1,6 @@
 /**
- * GLSL ES 3.00 sources. The formulas are those of the shaders in viewer/shaders/, which draw the same scenes in the
- * viewer's window.
+ * GLSL ES 3.00 shaders. They use the same formulas as the shaders in viewer/shaders/, which draw scenes in the viewer's
+ * window.
  */
 
 /** Width in texels of the textures that store arrays. */
@@ -8,7 +8,7 @@ export const TEXELS_PER_ROW = 4096;
 /** Largest number of source views that are blended. */
 export const MAX_BLENDED = 64;
 
-/** Start of every shader. */
+/** The first lines of every shader. */
 export const HEADER = `#version 300 es
 precision highp float;
 precision highp int;
@@ -25,16 +25,16 @@ void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 -
 `;
 
 /**
- * Multiplies the factors of a cloud by the basis of its spherical harmonics. Each fragment computes 8 of the 48
- * coefficients of a point and packs them as float16 values. Block b of the target contains the coefficients from index
- * `8 * b` to index `8 * b + 7`.
+ * Multiplies the factors of a cloud by the basis of its spherical harmonics. Each fragment computes 8 of a point's 48
+ * coefficients and packs them as float16 values. Block b of the target contains the coefficients `8 * b` to `8 * b +
+ * 7`.
  */
 export const HARMONICS_FRAGMENT = `${HEADER}
 uniform isampler2D factors;  // Row-major (K, N).
 uniform int rows;            // K
 uniform int points;          // N
 uniform int block;
-uniform int first_row;       // First row of the target that belongs to this cloud and block.
+uniform int first_row;       // First row of this cloud and block in the target.
 layout(std140) uniform Basis {
   vec4 basis[576];  // (48, 12)
   vec4 mean[12];
@@ -169,15 +169,16 @@ void main() {
 }
 `;
 
-/** Outputs 0. WebGL requires a fragment shader, although transform feedback discards all fragments. */
+/** Outputs 0. This shader exists only because WebGL requires a fragment shader, even though transform feedback discards
+ * all fragments. */
 export const NO_FRAGMENT = `${HEADER}
 out vec4 nothing;
 void main() { nothing = vec4(0.0); }
 `;
 
-/** GLSL expression of the depth of a disc for depth peeling, which peels discs by their rank. */
+/** GLSL expression of a disc's depth for depth peeling, which peels discs by their rank. */
 export const RANK_DEPTH = "2.0 * (rank - 0.5) / 16777216.0 - 1.0";
-/** GLSL expression of the depth of a disc for passes that neither test nor store depths. */
+/** GLSL expression of a disc's depth for passes that neither test nor store depths. */
 export const NO_DEPTH = "0.0";
 
 /** @param {boolean} hasNormals */
@@ -236,7 +237,7 @@ void main() {
 `;
 }
 
-/** Declares the inputs of the fragments of a disc, and computes their alpha. */
+/** Declares the inputs of a disc's fragments, and computes their alpha. */
 export const DISC = `
 flat in vec3 disc_centre;
 flat in float disc_depth;
@@ -293,12 +294,12 @@ void main() {
 `;
 
 /**
- * The pixel filter: a weighted mean of 3 x 3 values. A shader must define `vec4 tap(T)` before this text. The arguments
- * `right` and `down` of the functions are steps of one pixel.
+ * The pixel filter, which is a weighted mean of 3 x 3 values. A shader must define `vec4 tap(T)` before this code. The
+ * arguments `right` and `down` of the functions are steps of one pixel.
  * @param {"vec2" | "ivec2"} type T, the type of positions.
  */
 export const pixelFilter = (type) => `
-uniform float pixel_filter;  // Weight of a neighbour in the 3-tap filter along rows and along columns; 0: no filter.
+uniform float pixel_filter;  // Weight of each neighbour in the 3-tap filters along rows and columns; 0 for none.
 
 vec4 filter_row(${type} position, ${type} right) {
   return pixel_filter * (tap(position - right) + tap(position + right)) + (1.0 - 2.0 * pixel_filter) * tap(position);
@@ -313,7 +314,7 @@ vec4 filtered(${type} position, ${type} right, ${type} down) {
 
 /**
  * Composites a premultiplied image over a uniform background, applies the pixel filter, and scales the result to the
- * target. Row 0 is the top of the image. Outside the image, the nearest texel is repeated.
+ * target. Row 0 is the top of the image. Beyond the border of the image, the nearest texel is repeated.
  */
 export const OVER_BACKGROUND_FRAGMENT = `${HEADER}
 uniform sampler2D image;

@@ -89,7 +89,7 @@ export class Controls {
     return before > 0 && after > 0 ? dolly(panned, before / after) : panned;
   }
 
-  /** Distance between the first two fingers in pixels, or 0. */
+  /** Returns the distance between the first two fingers in pixels, or 0 if there are fewer fingers. */
   #spread() {
     const [first, second] = [...this.pointers.values()];
     return second ? Math.hypot(first.x - second.x, first.y - second.y) : 0;

@@ -7,15 +7,16 @@ import { cross, dot, length } from "./math.js";
 const TOLERANCE = 1e-3;
 
 /**
- * Converts OpenGL matrices, as in three.js and WebXR, to a camera and to the mapping of depths to normalised device
+ * Converts OpenGL matrices, as in three.js and WebXR, to a camera and a mapping from depths to normalised device
  * coordinates.
- * @param {ArrayLike<number>} modelView (16,) column-major. This matrix maps the scene's world to OpenGL's camera
- *   coordinates, by a rotation, a translation and a uniform scale.
- * @param {ArrayLike<number>} projection (16,) column-major, a perspective projection to the depths -1 to 1.
+ * @param {ArrayLike<number>} modelView (16,) column-major. It maps the scene's world to OpenGL's camera coordinates, by
+ *   a rotation, a translation and a uniform scale.
+ * @param {ArrayLike<number>} projection (16,) column-major. A perspective projection that maps depths to the range from
+ *   -1 to 1.
  * @param {number} width Width of the viewport in pixels.
  * @param {number} height
- * @returns {{camera: Camera, depthRange: [number, number]}} The camera, and numbers a and b. A point at depth z, in the
- *   scene's units, has the depth a + b / z in normalised device coordinates.
+ * @returns {{camera: Camera, depthRange: [number, number]}} The camera, and numbers a and b, with which a point at
+ *   depth z, in the scene's units, has the depth a + b / z in normalised device coordinates.
  */
 export function hostCamera(modelView, projection, width, height) {
   const m = modelView;
@@ -35,7 +36,7 @@ export function hostCamera(modelView, projection, width, height) {
     const expected = "expected a rotation, a translation and a uniform scale";
     throw new SceneError(`modelView: ${expected}, got another transformation; change the scene's matrix`);
   }
-  // The y and z axes of OpenGL cameras are opposite to the y and z axes of the scene's cameras.
+  // The y and z axes of OpenGL cameras are opposite to those of the scene's cameras.
   const rotation = [0, 1, 2].flatMap((row) => columns.map((axis) => ((row ? -1 : 1) * axis[row]) / scale));
   const translation = [m[12] / scale, -m[13] / scale, -m[14] / scale];
   const [halfWidth, halfHeight] = [width / 2, height / 2];

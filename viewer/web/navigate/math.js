@@ -1,4 +1,4 @@
-/** Functions on vectors (3,), and on 3 x 3 matrices, which are lists of rows. */
+/** Functions on vectors (3,) and 3 x 3 matrices, which are flat lists in row-major order. */
 
 /** @typedef {number[]} Vector */
 /** @typedef {number[]} Matrix */
@@ -111,7 +111,7 @@ export function orthonormalize(m) {
 }
 
 /**
- * The unit quaternion (w, x, y, z) of a rotation matrix, with w >= 0.
+ * Returns the unit quaternion (w, x, y, z) of a rotation matrix, with w >= 0.
  * @param {Matrix} m
  * @returns {number[]}
  */

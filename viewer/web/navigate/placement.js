@@ -2,11 +2,11 @@ import { addScaled, apply, cross, dot, length, normalize } from "./math.js";
 
 /**
  * Returns the matrix that places a scene upright in a world whose y axis points up, as in three.js and WebXR.
- * @param {number[]} origin Point of the scene that is mapped to `target`.
+ * @param {number[]} origin Point in the scene that is mapped to `target`.
  * @param {number[]} up Up direction of the scene, a unit vector that is mapped to +y.
  * @param {number[]} forward Direction in the scene whose horizontal part is mapped to -z.
  * @param {number} scale Length of one unit of the scene, in units of the world.
- * @param {number[]} [target] Point (3,) of the world.
+ * @param {number[]} [target] Point (3,) in the world.
  * @returns {number[]} (16,) column-major.
  */
 export function uprightMatrix(origin, up, forward, scale, target = [0, 0, 0]) {

@@ -4,8 +4,8 @@ import {
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 
 /**
- * A viewpoint, which consists of an eye and of a pivot on the eye's viewing axis. The fields are those of the class
- * Pose in viewer/navigation/pose.py.
+ * A viewpoint: an eye, and a pivot on the eye's viewing axis. The fields are those of the class Pose in
+ * viewer/navigation/pose.py.
  * @typedef {object} Pose
  * @property {number[]} pivot Point (3,) that the eye orbits around, in world units.
  * @property {number[]} rotation 3 x 3, R_camera_world.
@@ -28,7 +28,7 @@ export function eyeOf(pose) {
 }
 
 /**
- * The camera of a pose for an image of `width` x `height` pixels.
+ * Returns the camera of a pose for an image of `width` x `height` pixels.
  * @param {Pose} pose
  * @param {number} width
  * @param {number} height
@@ -102,7 +102,7 @@ export function fly(pose, right, up, forward) {
 }
 
 /**
- * The pose whose image of `width` x `height` pixels contains the whole image of a camera.
+ * Returns the pose whose image of `width` x `height` pixels contains the whole image of a camera.
  * @param {Camera} camera
  * @param {number[]} focus Point near which the pivot is placed.
  * @param {number[]} up
@@ -112,8 +112,8 @@ export function fly(pose, right, up, forward) {
  */
 export function poseFromCamera(camera, focus, up, width, height) {
   const zoom = Math.min(width / camera.width, height / camera.height);
-  // A pose has square pixels, so it has one focal length. The shorter of the camera's two focal lengths avoids
-  // cropping.
+  // A pose has a single focal length, because its pixels are square. The shorter of the camera's two focal lengths
+  // avoids cropping.
   const focal = zoom * Math.min(camera.intrinsics[0], camera.intrinsics[4]);
   const centre = apply(transpose(camera.rotation), camera.translation).map((value) => -value);
   const forward = row(camera.rotation, 2);
@@ -133,8 +133,7 @@ export function poseFromCamera(camera, focus, up, width, height) {
 }
 
 /**
- * Returns the mean of the cameras' up directions. If the directions cancel out, returns the up direction of the first
- * camera.
+ * Returns the mean of the cameras' up directions, or the first camera's up direction if they cancel out.
  * @param {Camera[]} cameras At least one.
  * @returns {number[]}
  */

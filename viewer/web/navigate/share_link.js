@@ -2,7 +2,7 @@ import { fromQuaternion, toQuaternion } from "./math.js";
 /** @typedef {import("./pose.js").Pose} Pose */
 
 /**
- * Writes a pose and a time as the fragment of a link, such as `t=1.2&view=...`.
+ * Converts a pose and a time to the fragment of a link, such as `t=1.2&view=...`.
  * @param {Pose} pose
  * @param {number} seconds
  * @returns {string}
@@ -15,7 +15,7 @@ export function toFragment(pose, seconds) {
 }
 
 /**
- * Reads the pose and the time from a fragment that `toFragment` has written. Invalid parts of the fragment are ignored.
+ * Reads the pose and the time from a fragment that `toFragment` has written. Invalid values are ignored.
  * @param {string} fragment With or without a leading #.
  * @param {number[]} up
  * @returns {{pose?: Pose, seconds?: number}}

@@ -2,12 +2,13 @@ import { addScaled, apply, cross, dot, length, normalize, transpose } from "./ma
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 /** @typedef {import("../scene/manifest.js").Manifest} Manifest */
 
-/** If all source views are selected, the limit angle b of `fadingWeights` is the largest angle times this factor. */
+/** If all source views are selected, the limit angle b of `fadingWeights` is the largest of their angles times this
+ * factor. */
 const FADE_MARGIN = 1.25;
 
 /**
- * Returns the source views whose angles to a camera are smallest, and their view weights. Angles are measured at the
- * focus. The rules are those of fourd/cameras.py.
+ * Returns the source views with the smallest angles to a camera, and their view weights. Angles are measured at the
+ * focus. The rules are the same as in fourd/cameras.py.
  * @param {Camera} camera
  * @param {Manifest} manifest
  * @returns {{views: number[], weights: number[]}}
@@ -24,8 +25,9 @@ export function selectSourceViews(camera, manifest) {
 }
 
 /**
- * A selected view at the angle a has the weight 1 - a / b. Let A be the largest angle of the selected views. The limit
- * angle b is the smallest angle that is at least A among the views that are not selected.
+ * Returns weights that decrease with the angle, so that a view fades out before it drops out of the selection. A view
+ * at the angle a has the weight 1 - a / b, where the limit b is the angle of the first view that is not selected. If
+ * all weights would be 0, they are 1 instead.
  * @param {number[]} views
  * @param {number[]} angles
  */

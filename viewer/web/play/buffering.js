@@ -1,25 +1,25 @@
-/** Plans playback over slow connections. With a stride s, playback shows every s-th frame, so a larger stride needs a
- * lower data rate. */
+/** The strides of playback over slow connections. With a stride s, playback shows every s-th frame, so a larger stride
+ * needs a lower data rate. */
 const STRIDES = [1, 2, 3, 4, 5, 6];
-/** Maximum time in seconds that playback waits in order to show all frames. */
+/** Maximum time in seconds for which the start of playback is delayed in order to show more frames. */
 export const LONGEST_WAIT = 3;
-/** The data rate varies, so playback is planned with this fraction of the measured rate. */
+/** Fraction of the measured data rate with which playback is planned, because the rate varies. */
 const RATE_MARGIN = 0.9;
-/** A change to a smaller stride is planned with this fraction of the measured data rate. */
+/** Fraction of the measured data rate with which a change to a smaller stride is planned. */
 const FINER_MARGIN = 0.8;
 /** Playback changes to a larger stride if it would otherwise pause within this time, in seconds. */
 const FORESIGHT = 2;
-/** Pauses shorter than this time, in seconds, do not change the stride. Short pauses occur when the view moves and
- * needs a source view that is not loaded. */
+/** Pauses shorter than this time, in seconds, do not change the stride. They occur when the view moves and needs a
+ * source view that is not loaded yet. */
 const SHORT_PAUSE = 0.25;
 
 /**
- * The frames that are due next, and the amount of their data that has not been downloaded.
+ * The frames that are due next, and how much of their data is still to be downloaded.
  * @typedef {object} Buffer
- * @property {number[]} frames Successive frames in the order of playback.
+ * @property {number[]} frames Successive frames in playback order.
  * @property {number[]} missing For each frame, the number of bytes that have not been downloaded.
  * @property {number} interval Seconds between two frames.
- * @property {number} rate Rate of the connection in bytes per second.
+ * @property {number} rate Data rate of the connection in bytes per second.
  */
 
 /**
@@ -39,8 +39,8 @@ export function requiredWait({ frames, missing, interval, rate }, stride) {
 }
 
 /**
- * Returns the smallest stride with which playback can start within `patience` seconds, and the remaining waiting time.
- * If there is no such stride, returns the stride with the shortest waiting time.
+ * Returns the smallest stride with which playback can start within `patience` seconds, or else the stride that allows
+ * the earliest start, and the time until playback can start.
  * @param {Buffer} buffer
  * @param {number} patience In seconds.
  * @returns {{stride: number, wait: number}}

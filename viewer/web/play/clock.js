@@ -1,4 +1,4 @@
-/** The clock of playback. */
+/** The playback clock, which selects the frame to show. */
 export class Clock {
   /**
    * @param {number} frames
@@ -52,14 +52,14 @@ export class Clock {
     }
   }
 
-  /** Starts or pauses. At the end, playback starts again at the first frame. */
+  /** Starts or pauses playback. If it does not loop and has reached the end, it restarts at the first frame. */
   toggle() {
     this.isPlaying = !this.isPlaying;
     if (this.isPlaying && !this.loops && this.exactFrame === this.frames - 1) this.seconds = 0;
   }
 
   /**
-   * The frames that are due after the current frame.
+   * Returns the frames that are due after the current frame.
    * @param {number} count
    * @param {number} [stride]
    * @returns {number[]}

@@ -1,21 +1,22 @@
 import { BACKGROUND } from "../scene/members.js";
 /** @typedef {import("../scene/scene_file.js").SceneFile} SceneFile */
 
-/** Largest size of the compressed frames in memory, in bytes. The limit is lower if the device has less than 8 GB of
- * memory, or if the browser does not report the memory of the device. */
+/** Maximum size in bytes of the compressed frames in memory. The limit is lower if the device has less than 8 GB of
+ * memory, or if the browser does not report its memory. */
 const MOST_BYTES = 512 << 20;
 const BYTES_PER_GB = 64 << 20;
 const SUPPOSED_GB = 4;
-/** A new request starts if the data of all running requests arrives in less than this time, in seconds. */
+/** A new request starts if the data of all running requests should arrive in less than this time, in seconds. */
 const SECONDS_IN_FLIGHT = 0.3;
-/** Minimum number of simultaneous requests. With a single request, the connection is idle between the last byte of a
- * response and the first byte of the next response. */
+/** Minimum number of simultaneous requests. A single request would leave the connection idle between the last byte of a
+ * response and the first byte of the next. */
 const FEWEST_JOBS = 2;
 const MOST_JOBS = 8;
 
 /** A request in progress. @typedef {{number: number, names: string[], bytes: number, abort: AbortController}} Job */
 
-/** Downloads the members of frames in order of urgency, several frames at a time, and keeps them compressed. */
+/** Downloads the members (files in the scene's archive) of several frames at a time, in order of urgency, and keeps
+ * them compressed. */
 export class Downloads {
   /**
    * @param {SceneFile} file
@@ -43,10 +44,10 @@ export class Downloads {
 
   /**
    * Sets what to download.
-   * @param {number[]} wanted Frames, and if needed the background, in order of urgency.
+   * @param {number[]} wanted The frames and, if needed, the background, in order of urgency.
    * @param {(number: number) => string[]} namesOf Returns the names of the members to download for a frame or for the
    *   background.
-   * @param {boolean} isUrgent Whether only the first frame and the background are downloaded.
+   * @param {boolean} isUrgent If true, only the first frame and the background are downloaded.
    */
   want(wanted, namesOf, isUrgent) {
     const first = wanted.find((number) => number !== BACKGROUND);
@@ -150,7 +151,7 @@ export class Downloads {
   }
 
   /**
-   * Whether the members of a frame fit into memory if only frames that are due later are dropped to make room.
+   * Returns true if the members of a frame fit into memory, possibly after dropping frames that are due later.
    * @param {number} number
    * @param {string[]} names
    */
@@ -165,7 +166,7 @@ export class Downloads {
     return later >= excess;
   }
 
-  /** The frame in memory that is due last. Playback is assumed to loop. */
+  /** Returns the frame in memory that is due last, under the assumption that playback loops. */
   #latest() {
     let latest = null;
     let most = 0;
@@ -176,7 +177,7 @@ export class Downloads {
     return latest;
   }
 
-  /** Number of frames until a frame is due. @param {number} number */
+  /** Returns the number of frames until a frame is due. @param {number} number */
   #distance(number) {
     const count = this.file.manifest.points.length;
     const current = this.wanted.find((wanted) => wanted !== BACKGROUND) ?? 0;

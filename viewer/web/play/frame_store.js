@@ -5,7 +5,7 @@ import { Downloads } from "./downloads.js";
 /** @typedef {import("../decode/cloud.js").CloudBase} CloudBase */
 
 const CACHE_BYTES = 256 << 20;
-/** Number of frames that are decoded at the same time. */
+/** Maximum number of frames that are decoded at the same time. */
 const CONCURRENT = 4;
 
 /**
@@ -24,20 +24,18 @@ const CONCURRENT = 4;
  * The frames and the kinds of data to load.
  * @typedef {object} Demand
  * @property {number[]} decoded Frames to decode, in order of urgency.
- * @property {number[]} downloaded Frames to download, in order of urgency. The list starts with the frames of
- *   `decoded`.
+ * @property {number[]} downloaded Frames to download, in order of urgency. The list starts with those of `decoded`.
  * @property {number[]} views Source views whose colours are needed.
  * @property {boolean} normals Whether the normals are needed.
  * @property {boolean} isPlaying If false, the first frame is downloaded before all others.
  */
 
-/** Downloads and decodes frames in the order in which they are due, and keeps the most recently used frames in decoded
- * form. */
+/** Downloads and decodes frames in the order in which they are due, and keeps the most recently used ones decoded. */
 export class FrameStore {
   /**
    * @param {SceneFile} file
    * @param {DecodePool} pool
-   * @param {() => void} changed Called when a part has been decoded.
+   * @param {() => void} changed Called when a part of an entry has been decoded.
    * @param {(error: unknown) => void} failed
    */
   constructor(file, pool, changed, failed) {
@@ -71,7 +69,8 @@ export class FrameStore {
     this.needsNormals = normals;
     this.turn++;
     for (const number of this.wanted) this.#entry(number).used = this.turn;
-    // Before the first image, and after a jump in time, downloads of other frames would delay the frame that is due.
+    // Before the first image and after a jump in time, only the frame that is due is downloaded, because downloads of
+    // other frames would delay it.
     const isUrgent = decoded.length > 0 && !(isPlaying && this.hasDecoded) && !this.isDrawable(decoded[0]);
     const namesOf = (/** @type {number} */ number) => this.#missing(number, isUrgent ? [] : views);
     this.downloads.want([...background, ...downloaded], namesOf, isUrgent);
@@ -91,7 +90,7 @@ export class FrameStore {
   }
 
   /**
-   * Whether a frame can be drawn, at least with mean colours.
+   * Returns true if a frame can be drawn, at least with mean colours.
    * @param {number} frame
    */
   isDrawable(frame) {
@@ -99,7 +98,7 @@ export class FrameStore {
   }
 
   /**
-   * Whether a frame can be drawn without a style.
+   * Returns true if a frame can be drawn without a style.
    * @param {number} frame
    */
   hasPoints(frame) {
@@ -107,7 +106,7 @@ export class FrameStore {
   }
 
   /**
-   * Whether a frame has the colours of all wanted views.
+   * Returns true if a frame can be drawn with the colours of all wanted views.
    * @param {number} frame
    */
   isComplete(frame) {
@@ -115,7 +114,7 @@ export class FrameStore {
   }
 
   /**
-   * Compressed size in bytes of the members of a frame that have not been downloaded yet.
+   * Returns the compressed size in bytes of the members of a frame that are still to be downloaded.
    * @param {number} frame
    */
   missingBytes(frame) {
@@ -158,7 +157,7 @@ export class FrameStore {
     return number === BACKGROUND || !this.manifest.background?.shadow || entry.shadow !== null;
   }
 
-  /** Whether the normals of a part are decoded, or are not needed. @param {number} number */
+  /** Returns true if the normals of a frame or of the background are decoded or not needed. @param {number} number */
   #hasNormals(number) {
     return !this.needsNormals || (this.entries.get(number)?.normals ?? null) !== null;
   }
@@ -169,7 +168,7 @@ export class FrameStore {
   }
 
   /**
-   * Names of the members that are not decoded yet.
+   * Returns the names of the members that are not decoded yet.
    * @param {number} number
    * @param {number[]} views
    */
@@ -209,7 +208,7 @@ export class FrameStore {
   }
 
   /**
-   * Wanted views that are downloaded but not decoded yet.
+   * Returns the wanted views that are downloaded but not decoded yet.
    * @param {number} number
    * @param {Entry} entry
    */
@@ -280,7 +279,7 @@ export class FrameStore {
     }
   }
 
-  /** The downloaded normals of a part that are needed but not decoded yet, or null. @param {number} number */
+  /** Returns the normals that are needed and downloaded but not decoded yet, or null. @param {number} number */
   #normalsToDecode(number) {
     return this.#hasNormals(number) ? null : this.downloads.get(number, normalsMember(this.manifest, number));
   }

@@ -10,17 +10,17 @@ import { FrameStore } from "./frame_store.js";
 
 /** Playback starts when the current frame and this number of following frames are decoded. */
 const BUFFERED_FRAMES = 3;
-/** Memory limits in bytes for the decoded frames and for the compressed frames that follow the current frame. */
+/** Limits, in bytes, of the memory for decoded and for compressed frames that follow the current frame. */
 const DECODED_BYTES = 96 << 20;
 const DOWNLOADED_BYTES = 64 << 20;
 const MAX_DECODED = 24;
 const PAUSED_AHEAD = 2;
-/** Largest number of frames whose sizes are summed to plan playback. */
+/** Maximum number of frames that are taken into account when playback is planned. */
 const MAX_PLANNED = 3000;
-/** Time between two changes of the stride during playback, in seconds. */
+/** Minimum time in seconds between two changes of the stride during playback. */
 const ADAPT_SECONDS = 0.5;
 
-/** Loads the frames that are due, and sorts their points for a camera, but does not draw them. */
+/** Loads the frames that are due and sorts their points for a camera. Drawing them is left to the caller. */
 export class Playback {
   /**
    * @param {import("../scene/scene_file.js").SceneFile} file
@@ -37,7 +37,7 @@ export class Playback {
     this.clock = new Clock(this.manifest.points.length, this.manifest.fps);
     /** Whether the frame that is due cannot be shown yet. */
     this.isWaiting = true;
-    /** Whether playback waits until enough frames are loaded to continue without a pause. */
+    /** Whether playback is waiting for enough frames to continue without a pause. */
     this.isBuffering = true;
     /** Seconds since playback began to wait. */
     this.waited = 0;
@@ -73,7 +73,8 @@ export class Playback {
   }
 
   /**
-   * Whether the depth order was computed for the current frame and the given camera, and all source views are loaded.
+   * Returns true if the depth order was computed for the current frame and the given camera, and all source views are
+   * loaded.
    * @param {Camera} camera
    */
   isSettled(camera) {
@@ -81,7 +82,7 @@ export class Playback {
   }
 
   /**
-   * Whether the depth order was computed for the current frame and the given camera.
+   * Returns true if the depth order was computed for the current frame and the given camera.
    * @param {Camera} camera
    */
   isSorted(camera) {
@@ -91,8 +92,7 @@ export class Playback {
   }
 
   /**
-   * Returns the picture to draw from a camera, with the frame of the newest depth order. Returns null if nothing can be
-   * drawn.
+   * Returns what to draw from a camera, with the frame of the newest depth order, or null if nothing can be drawn.
    * @param {Camera} camera
    * @param {{views: number[], weights: number[]}} selection
    * @returns {Picture | null}
@@ -133,7 +133,7 @@ export class Playback {
     if (buffer) clock.stride = adaptStride(buffer, clock.stride);
   }
 
-  /** Chooses the stride, and returns whether playback can start. */
+  /** Chooses the stride. Returns true if playback can start. */
   #canStart() {
     const { clock, store } = this;
     const buffer = this.#buffer();
@@ -145,8 +145,8 @@ export class Playback {
   }
 
   /**
-   * Returns the frames from the current frame to the end of the scene, or all frames if playback loops. Returns null if
-   * the data rate of the connection is not known.
+   * Returns the frames from the current frame to the end of the scene, or all frames if playback loops. The result is
+   * null if the data rate of the connection is not known.
    * @returns {import("./buffering.js").Buffer | null}
    */
   #buffer() {
@@ -196,8 +196,8 @@ export class Playback {
 }
 
 /**
- * Returns the numbers of a camera that determine the depth order and the visible points. The result does not depend on
- * the resolution of the image.
+ * Returns the camera parameters that determine the depth order and the visible points. They do not depend on the
+ * resolution of the image.
  * @param {Camera} camera
  */
 function signature({ rotation, translation, intrinsics, width, height }) {
@@ -205,7 +205,7 @@ function signature({ rotation, translation, intrinsics, width, height }) {
 }
 
 /**
- * Mean number of compressed bytes that one player downloads per frame.
+ * Returns the mean number of compressed bytes that a player downloads per frame.
  * @param {import("../scene/scene_file.js").SceneFile} file
  */
 function meanBytes({ manifest }) {

@@ -4,7 +4,7 @@ const LOWEST = 0.4;
 const STEP = 0.8;
 const IMAGES = 6;
 
-/** Chooses the resolution of the images from their drawing times, while the view moves or the scene plays. */
+/** Adapts the resolution to the drawing times of the images while the view moves or the scene plays. */
 export class Quality {
   constructor() {
     /** Width and height of the image, as a fraction of the full width and height. */
@@ -14,11 +14,11 @@ export class Quality {
   }
 
   /**
-   * Reports the time from a drawn image until the browser could show the next image.
+   * Reports the time from drawing an image until the browser could show the next one.
    * @param {number} ms
    */
   report(ms) {
-    if (ms > 1000) return; // Times above one second are ignored, because the page was probably hidden.
+    if (ms > 1000) return; // Ignore times above one second, in which the page was probably hidden.
     this.count++;
     this.mean += (ms - this.mean) / Math.min(this.count, IMAGES);
     if (this.count < IMAGES) return;
@@ -26,7 +26,7 @@ export class Quality {
     else if (this.mean < FAST_MS && this.scale < 1) this.#change(Math.min(this.scale / STEP, 1));
   }
 
-  /** Starts a new measurement. The player calls this function in each time step in which nothing moves. */
+  /** Starts a new measurement. Must be called in each time step in which nothing moves. */
   rest() {
     this.count = 0;
     this.mean = 0;

@@ -9,7 +9,7 @@ import { Quality } from "./quality.js";
 /** Time in milliseconds without motion after which the image is drawn at full resolution. */
 const REST_MS = 250;
 
-/** Plays a scene in a canvas, and draws only if something has changed. */
+/** Plays a scene in a canvas, which is drawn only if something has changed. */
 export class Stage {
   /**
    * @param {HTMLCanvasElement} canvas
@@ -89,7 +89,8 @@ export class Stage {
   update(now, elapsed) {
     if (this.isSuspended) return;
     const isMoving = this.clock.isPlaying || now - this.movedAt < REST_MS;
-    // Browsers delay the next call if the graphics driver has not finished the last image.
+    // `elapsed` measures the drawing time, because browsers delay the next call until the graphics driver has finished
+    // the last image.
     if (!isMoving) this.quality.rest();
     else if (this.hasDrawn) this.quality.report(1000 * elapsed);
     this.hasDrawn = false;
@@ -114,7 +115,7 @@ export class Stage {
   }
 
   /**
-   * Returns the camera for an image with a fraction of the canvas' width and height.
+   * Returns the camera for an image whose width and height are the canvas' times `scale`.
    * @param {number} scale
    * @returns {Camera}
    */
@@ -151,7 +152,7 @@ export class Stage {
 }
 
 /**
- * Returns the number of images after which a line that fades in differs by less than 1/255 from its full strength.
+ * Returns the number of images after which the strength of a line that fades in is within 1/255 of its final value.
  * @param {import("../draw/renderer.js").ReadyStyle | null} ready
  */
 function imagesOfFade(ready) {

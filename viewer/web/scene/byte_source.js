@@ -9,14 +9,13 @@ const WHOLE_FILE_LIMIT = 2 ** 30;
 /**
  * Reads byte ranges of a file over HTTP.
  *
- * If the server ignores ranges and sends the whole file, the file is kept in memory, and ranges are read from it while
- * the data arrives. A read fails with a SceneError if the server stalls, if the file ends early, or if the file
- * changes.
+ * If the server ignores ranges and sends the whole file, it is kept in memory, and ranges are read from it while the
+ * data arrives. A read fails with a SceneError if the server stalls, or if the file ends early or changes.
  */
 export class ByteSource {
   /**
    * @param {string} url
-   * @param {number} stallMs A request is repeated after this time in milliseconds without data.
+   * @param {number} stallMs Time in milliseconds without data after which a request is repeated.
    */
   constructor(url, stallMs) {
     this.url = url;
@@ -35,7 +34,7 @@ export class ByteSource {
    * @param {number} offset
    * @param {number} size
    * @param {AbortSignal} [signal]
-   * @returns {Promise<Uint8Array>} The bytes of the range. If the file ends inside the range, there are fewer bytes.
+   * @returns {Promise<Uint8Array>} The bytes of the range, or fewer if the file ends inside the range.
    */
   async read(offset, size, signal) {
     if (size === 0) return new Uint8Array(0);
@@ -67,7 +66,7 @@ export class ByteSource {
     return bytes;
   }
 
-  /** Asks the server whether the file has changed. Returns false if the server does not answer. */
+  /** Returns true if the file on the server has changed. Returns false if the server does not answer. */
   async hasChanged() {
     try {
       const response = await fetch(this.url, { method: "HEAD", cache: "no-store" });

@@ -1,7 +1,7 @@
-/** An error with a message for the user: one line with what was expected, what was found, and the fix. */
+/** An error with a one-line message for the user, which says what was expected, what was found, and how to fix it. */
 export class SceneError extends Error {}
 
-/** The content of the scene has changed since the scene was opened. */
+/** Thrown if the scene has changed on the server since it was opened. */
 export class ChangedError extends SceneError {
   constructor() {
     super("The scene has changed on the server. Reload the page.");

@@ -1,6 +1,6 @@
 import { SceneError } from "./errors.js";
 
-/** Reads values of a JSON object of a manifest, and checks each value, because a manifest is untrusted input. */
+/** Reads and checks the values of a JSON object in a manifest, which is untrusted input. */
 export class JsonNode {
   /**
    * @param {unknown} content
@@ -59,8 +59,7 @@ export class JsonNode {
 
   /**
    * @param {string} key
-   * @param {boolean} [missing] Value that is returned if the key is missing. If `missing` is not given, the key is
-   *   required.
+   * @param {boolean} [missing] Result if the key is missing. The key is required if this is not given.
    * @returns {boolean}
    */
   flag(key, missing) {
@@ -74,8 +73,7 @@ export class JsonNode {
    * @param {string} key
    * @param {number} low
    * @param {number} high
-   * @param {number} [missing] Value that is returned if the key is missing. If `missing` is not given, the key is
-   *   required.
+   * @param {number} [missing] Result if the key is missing. The key is required if this is not given.
    * @returns {number}
    */
   number(key, low, high, missing) {
@@ -133,7 +131,7 @@ function isUsable(value) {
 }
 
 /**
- * Converts a key of the file to text on one line, for error messages.
+ * Converts a key to one line of text for error messages.
  * @param {string} key
  */
 function printable(key) {

@@ -1,8 +1,7 @@
-/** The data rate is averaged over approximately this time, in milliseconds. Only time in which a request is running
- * counts. */
+/** Approximate time in milliseconds over which the data rate is averaged. Only the time of running requests counts. */
 const WINDOW_MS = 2000;
 
-/** Measures the data rate of a connection. Time without a running request is left out. */
+/** Measures the data rate of a connection while requests are running. */
 export class LineRate {
   /** @param {() => number} [now] A clock in milliseconds. */
   constructor(now = () => performance.now()) {
@@ -34,7 +33,7 @@ export class LineRate {
     this.running--;
   }
 
-  /** The data rate, or null if nothing has been received. */
+  /** The data rate, or null if nothing has been received yet. */
   get bytesPerSecond() {
     this.#pass();
     return this.bytes > 0 && this.ms > 0 ? (1000 * this.bytes) / this.ms : null;

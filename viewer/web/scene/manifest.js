@@ -3,7 +3,7 @@ import { JsonNode } from "./json_node.js";
 import { largestContent } from "./limits.js";
 
 /**
- * A pinhole camera in OpenCV's convention. Matrices are lists of rows.
+ * A pinhole camera in OpenCV's convention. Matrices are flat lists in row-major order.
  * @typedef {object} Camera
  * @property {number[]} intrinsics 3 x 3, in pixels.
  * @property {number[]} rotation 3 x 3, R_camera_world.
@@ -15,7 +15,7 @@ import { largestContent } from "./limits.js";
 /** @typedef {Camera & {name: string}} NamedCamera */
 
 /**
- * How the points of one cloud are quantised; docs/formats.md describes the values.
+ * Describes how the points of one cloud are quantised. docs/formats.md explains the values.
  * @typedef {object} CloudEncoding
  * @property {number[]} lower
  * @property {number} positionStep
@@ -23,7 +23,7 @@ import { largestContent } from "./limits.js";
  * @property {number} radiusLower
  * @property {number} radiusSteps
  * @property {number} densityLevels
- * @property {Float32Array} shBasis (shRows, 48), multiplied by the quantisation step.
+ * @property {Float32Array} shBasis (shRows, 48), already multiplied by the quantisation step.
  * @property {Float32Array} shMean (48,)
  * @property {number} shRows
  * @property {number} weightSteps
@@ -37,9 +37,9 @@ import { largestContent } from "./limits.js";
  * @typedef {object} Manifest
  * @property {NamedCamera[]} sources Source views.
  * @property {NamedCamera[]} cameras Source views, then other cameras of the capture.
- * @property {number[]} focus Point (3,) of the world at which the angles between cameras are measured.
+ * @property {number[]} focus World point (3,) at which the angles between cameras are measured.
  * @property {number[]} points Number of dynamic points of each frame.
- * @property {number} mostPoints Largest number of dynamic points of a frame.
+ * @property {number} mostPoints Largest number of dynamic points in a frame.
  * @property {number} fps
  * @property {number} layers K, the maximum number of points that are composited per pixel.
  * @property {number} neighbours Number of source views that are blended for a viewing camera.
@@ -47,8 +47,7 @@ import { largestContent } from "./limits.js";
  * @property {number} shRange
  * @property {number} shBase
  * @property {number} near Smallest depth of points that are drawn, in world units.
- * @property {number} pixelFilter Weight of a neighbour in the 3-tap pixel filter along rows and along columns, from 0
- *   to 0.25.
+ * @property {number} pixelFilter Weight, from 0 to 0.25, of each neighbour in the 3-tap filters along rows and columns.
  * @property {{points: number, shadow: boolean} | null} background
  * @property {boolean} hasNormals
  * @property {CloudEncoding} dynamicEncoding
@@ -112,8 +111,7 @@ function hasNormals(root) {
 }
 
 /**
- * Checks that the members are large enough for the declared numbers of points, before memory is reserved for these
- * points.
+ * Checks that the members are large enough for the declared numbers of points, before memory is reserved for them.
  * @param {Manifest} manifest
  */
 function checkCounts({ points, background, members, dynamicEncoding, backgroundEncoding }) {
@@ -131,7 +129,7 @@ function checkCounts({ points, background, members, dynamicEncoding, backgroundE
 }
 
 /**
- * The folder of a frame inside the file.
+ * Returns the folder of a frame inside the file.
  * @param {number} frame
  */
 export function frameFolder(frame) {

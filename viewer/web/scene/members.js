@@ -19,7 +19,7 @@ export function describeCloud(manifest, number) {
 }
 
 /**
- * Names of the members that are needed to draw a cloud with mean colours.
+ * Returns the names of the members that are needed to draw a cloud with mean colours.
  * @param {Manifest} manifest
  * @param {number} number
  */
@@ -34,7 +34,7 @@ export function baseMembers(manifest, number) {
 }
 
 /**
- * Name of the member with the normals, which styles need.
+ * Returns the name of the member with the normals, which styles need.
  * @param {Manifest} manifest
  * @param {number} number
  */
@@ -43,7 +43,7 @@ export function normalsMember(manifest, number) {
 }
 
 /**
- * Name of the member with the colours of a source view.
+ * Returns the name of the member with the colours of a source view.
  * @param {Manifest} manifest
  * @param {number} number
  * @param {number} view

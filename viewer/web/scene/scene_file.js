@@ -7,8 +7,7 @@ import { missingDecoder } from "./support.js";
 const FIRST_READ = 1 << 16;
 const LOCAL_HEADER = 30;
 const MAX_MANIFEST = 64 << 20;
-/** If at most this number of bytes lies between two members, they are read with one request, which is faster than two
- * requests. */
+/** Members that are at most this number of bytes apart are read with one request, which is faster than two. */
 const MERGE_GAP = 1 << 15;
 
 /** A packed scene on a server. */
@@ -74,7 +73,7 @@ export class SceneFile {
   }
 
   /**
-   * Compressed size of a member in bytes.
+   * Returns the compressed size of a member in bytes.
    * @param {string} name
    */
   sizeOf(name) {

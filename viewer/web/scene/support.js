@@ -1,4 +1,4 @@
-/** Returns an error message if the browser cannot decode the images of a scene, and null otherwise. */
+/** Returns an error message if the browser cannot decode the images of scenes, and null otherwise. */
 export function missingDecoder() {
   if (typeof VideoDecoder !== "undefined") return null;
   const secure = globalThis.isSecureContext ? "" : " over an address without https";

@@ -1,6 +1,5 @@
 /**
- * A camera whose view frustum, enlarged by a border, contains the points to keep. Points outside this region are not
- * drawn.
+ * A camera whose view frustum, enlarged by a border, selects the points to sort. Points outside it are dropped.
  * @typedef {object} SortCamera
  * @property {number[]} rotation 3 x 3, R_camera_world.
  * @property {number[]} translation (3,) T_camera_world, in world units.
@@ -8,7 +7,7 @@
  * @property {number} width
  * @property {number} height
  * @property {number} near Smallest depth in world units.
- * @property {number} border Width in pixels of a border around the image. Points in the border are kept too.
+ * @property {number} border Width in pixels of the border around the image.
  */
 
 /** The upper bound of radius / depth is multiplied by this factor, because the camera can move nearer to the points
@@ -69,7 +68,7 @@ export class DepthOrder {
     const right = camera.width + border - cx;
     const top = -border - cy;
     const bottom = camera.height + border - cy;
-    const reach = fy * radius; // A disc can reach into the image even if its centre is outside the image.
+    const reach = fy * radius; // A disc can extend into the image even if its centre is outside.
     const { keys, indices } = this;
     const depth = new Float32Array(1);
     const bits = new Uint32Array(depth.buffer);
@@ -86,7 +85,7 @@ export class DepthOrder {
       if (u < left * viewZ - reach || u > right * viewZ + reach) continue;
       if (v < top * viewZ - reach || v > bottom * viewZ + reach) continue;
       depth[0] = viewZ;
-      keys[count] = bits[0]; // Positive floats have the same order as their bits, read as integers.
+      keys[count] = bits[0]; // Positive floats have the same order as their bits when read as integers.
       indices[count++] = first + i;
     }
     return count;

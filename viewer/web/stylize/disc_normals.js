@@ -34,7 +34,7 @@ void main() {
 /** Outputs the colour, the normal, the depth and the weight of a disc, premultiplied by alpha. */
 export const SURFACE_FRAGMENT = `${HEADER}${DISC}
 flat in vec4 disc_normal;
-uniform float depth_unit;  // Length of the unit of depths, in world units. Depths in this unit fit into float16.
+uniform float depth_unit;  // Unit of depths, in world units. It brings depths into the range of float16.
 layout(location = 0) out vec4 colour;
 layout(location = 1) out vec4 weighted_normal;
 layout(location = 2) out vec4 weighted_depth;
@@ -68,7 +68,7 @@ export class DiscNormals {
   }
 
   /**
-   * The programs of a pass that draws discs with normals.
+   * Returns the programs of a pass that draws discs with normals.
    * @param {string} fragment
    * @param {string} depth GLSL expression of the discs' depth in normalised device coordinates.
    * @returns {import("../draw/discs.js").DiscPass}
@@ -80,7 +80,7 @@ export class DiscNormals {
   }
 
   /**
-   * Rotates the normals of the points that `discs` has projected last.
+   * Rotates the normals of the points that `discs` projected last to camera axes.
    * @param {WebGLTexture} normals
    * @param {WebGLTexture} xyz
    * @param {Camera} camera

@@ -2,28 +2,28 @@ import { inflateExactly } from "../decode/inflate.js";
 import { SceneError } from "../scene/errors.js";
 
 /**
- * A style, as viewer/publish/styles.py writes it. The player computes the numbers that depend on the camera. Lengths
- * are in pixels of an image with 1080 rows.
+ * A style, as viewer/publish/styles.py writes it. The numbers that depend on the camera are missing, because the player
+ * computes them. Lengths are in pixels of an image with 1080 rows.
  * @typedef {object} Style
  * @property {string} name
  * @property {number[]} light Unit vector towards the light.
  * @property {"camera" | "world"} light_frame Axes of `light`.
- * @property {[number, number, number] | null} paper Colour of the paper, or null if the player's background is used.
+ * @property {[number, number, number] | null} paper Colour of the paper, or null for the player's background.
  * @property {number} persistence
  * @property {number} thickness
  * @property {number} hatch_spacing
- * @property {number} detail_per_distance Detail per unit of depth, where the unit is the distance from the camera to
+ * @property {number} detail_per_distance Detail per depth, where depth is in units of the distance from the camera to
  *   the focus.
  * @property {number} detail_axis
  * @property {number} line_filter
  * @property {Record<string, number | number[]>} numbers Uniforms that are the same for all cameras.
- * @property {number} rows Rows of the shade table.
+ * @property {number} rows Number of rows in the shade table.
  * @property {string} table The shade table, (rows, 256, 3) uint8, compressed with zlib and encoded in base64.
  */
 
 const SHADER_NAMES = /** @type {const} */ (["octahedral", "surface", "close", "picture", "outlines"]);
 
-/** GLSL texts without `#version`. @typedef {Record<typeof SHADER_NAMES[number], string>} ShaderTexts */
+/** GLSL code without `#version`. @typedef {Record<typeof SHADER_NAMES[number], string>} ShaderTexts */
 
 /** @typedef {{shaders: ShaderTexts, styles: Style[]}} StyleFile */
 

@@ -18,8 +18,8 @@ import { distanceTo, viewStyle } from "./view_style.js";
 const TONES = 256;
 
 /**
- * Draws pictures in a style, with the same fragment shaders as the viewer's window. Lines do not flicker in successive
- * pictures from one camera.
+ * Draws images in a style, with the same fragment shaders as the viewer's window. Lines do not flicker in successive
+ * images from one camera.
  */
 export class StyledDrawing {
   /**
@@ -46,9 +46,9 @@ export class StyledDrawing {
       outlines: make(shaders.outlines),
     };
     this.emptyArray = gl.createVertexArray();
-    /** Albedo, inverse depth and normals of the last two pictures. @type {Target[]} */
+    /** Albedo, inverse depth and normals of the last two images. @type {Target[]} */
     this.surfaces = [];
-    /** The last two pictures before lines were drawn, and the states of their lines. @type {Target[]} */
+    /** The last two images without lines, and the states of their lines. @type {Target[]} */
     this.shaded = [];
     /** @type {Target | null} */
     this.picture = null;
@@ -59,12 +59,12 @@ export class StyledDrawing {
     this.camera = null;
     /** @type {WebGLTexture | null} */
     this.table = null;
-    /** Shade table of the last picture's style, which identifies this style. @type {Uint8Array | null} */
+    /** Shade table of the last image, which identifies its style. @type {Uint8Array | null} */
     this.tableContent = null;
   }
 
   /**
-   * Draws a picture. The points of the picture must already be projected.
+   * Draws a picture whose points are already projected.
    * @param {Picture} picture
    * @param {ReadyStyle} ready
    * @param {[number, number, number]} background Colour in [0, 1].
@@ -140,7 +140,7 @@ export class StyledDrawing {
   }
 
   /**
-   * Draws the lines over the shaded picture.
+   * Draws the lines over the shaded image.
    * @param {ReturnType<typeof viewStyle>} values
    */
   #drawLines({ floats, integers }) {
@@ -158,7 +158,7 @@ export class StyledDrawing {
   /**
    * @param {Program} program
    * @param {Target} target
-   * @param {Record<string, WebGLTexture>} textures The textures, by the names of their samplers.
+   * @param {Record<string, WebGLTexture>} textures Textures by sampler name.
    */
   #use(program, target, textures) {
     const { gl } = this;

@@ -36,7 +36,7 @@ export function viewStyle(style, camera, focus, background) {
 }
 
 /**
- * Distance from a camera to a point in world units, at least 1e-6.
+ * Returns the distance from a camera to a point in world units, but at least 1e-6.
  * @param {Camera} camera
  * @param {number[]} point
  */
@@ -46,7 +46,7 @@ export function distanceTo({ rotation, translation }, point) {
 }
 
 /**
- * The first two rows of the inverse intrinsic matrix. The third row is (0, 0, 1).
+ * Returns the first two rows of the inverse intrinsic matrix. The third row is (0, 0, 1).
  * @param {Camera} camera
  */
 function rayOf({ intrinsics }) {

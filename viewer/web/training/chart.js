@@ -9,11 +9,11 @@ const COLOURS = 8;
  * @typedef {{label: string, colour: number, isThin?: boolean, hasDots?: boolean, step: number[], value: number[]}} Curve
  */
 
-/** A chart of curves over the training steps, with axes, a legend, and the values at the pointer. */
+/** A chart of curves over the training steps. It has axes and a legend, and shows the values at the pointer. */
 export class Chart {
   /**
    * @param {string} title
-   * @param {{isLog: boolean, key: string}} options `key` names the chart in the settings that the browser keeps.
+   * @param {{isLog: boolean, key: string}} options `key` names the chart in the settings that the browser stores.
    */
   constructor(title, { isLog, key }) {
     this.title = title;
@@ -98,7 +98,7 @@ export class Chart {
   }
 
   /**
-   * Returns the part of a curve that the axes can show.
+   * Returns the values of a curve that the axes can show. Logarithmic axes show only positive values.
    * @param {Curve} curve
    * @returns {Curve}
    */
@@ -191,7 +191,7 @@ function paragraph(text) {
 }
 
 /**
- * A checkbox whose value the browser keeps.
+ * Creates a checkbox whose value the browser stores.
  * @param {string} text
  * @param {string} key
  * @param {boolean} isChecked
@@ -216,7 +216,7 @@ function readSetting(key) {
   try {
     return localStorage.getItem(`fourd ${key}`);
   } catch {
-    return null; // The storage of the browser can be switched off.
+    return null; // Users can switch off the browser's storage.
   }
 }
 
@@ -228,7 +228,7 @@ function keepSetting(key, value) {
   try {
     localStorage.setItem(`fourd ${key}`, value);
   } catch {
-    // If storage is switched off, the setting is kept only until the page is loaded again.
+    // If the browser's storage is switched off, the setting is lost when the page is loaded again.
   }
 }
 

@@ -1,9 +1,9 @@
 /**
- * State of a run, as the server sends it.
+ * The state of a run, as the server sends it.
  * @typedef {object} Status
  * @property {string} title
  * @property {number | null} segment Number of the segment, counted from 1. Null for a run without segments.
- * @property {string} session Identifies the training to which requests are sent.
+ * @property {string} session Identifies the training process to which requests are sent.
  * @property {"training" | "paused" | "finished" | "stopped" | "failed" | "ended" | "idle"} phase
  * @property {string} reason
  * @property {number} step
@@ -14,8 +14,8 @@
  * @property {boolean} is_held_out
  * @property {number | null} psnr In dB, of the training views, smoothed.
  * @property {number | null} validation_psnr In dB.
- * @property {number[]} pictures Training steps of the validation pictures.
- * @property {number} broken_lines Number of lines of the log that are not valid records.
+ * @property {number[]} pictures Training steps of the validation images.
+ * @property {number} broken_lines Number of lines in the log that are not valid records.
  */
 /** The values of a measurement. @typedef {{step: number[], value: number[]}} Series */
 /** State of the scene. @typedef {{state: "none" | "baking" | "ready" | "failed", step: number, message: string}} SceneState */
@@ -46,7 +46,7 @@ export async function fetchScene() {
  * @param {"pause" | "resume" | "save" | "stop"} action
  */
 export async function sendRequest(session, action) {
-  // The server requires this header, because pages of other sites cannot send it.
+  // The server requires this header, which pages of other sites cannot send.
   const headers = { "Content-Type": "application/json", "X-Fourd-Request": "control" };
   await fetchText("run/control", { method: "POST", headers, body: JSON.stringify({ session, action }) });
 }

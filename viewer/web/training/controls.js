@@ -2,7 +2,7 @@ import { Refusal, sendRequest } from "./client.js";
 import { buttonById, byId, setText } from "./elements.js";
 /** @typedef {import("./client.js").Status} Status */
 
-/** Time in milliseconds after which the page no longer waits for the effect of a button. */
+/** Maximum time in milliseconds that the page waits for a button to take effect. */
 const PATIENCE_MS = 120000;
 
 const CONTINUE = "Continue it with fourd train --resume, or with the fourd make command that started it.";
@@ -25,7 +25,7 @@ export class Controls {
     this.refresh = refresh;
     /** @type {Status | null} */
     this.status = null;
-    /** The request that has had no effect yet. @type {{phase: string, until: number} | null} */
+    /** The request that has not taken effect yet. @type {{phase: string, until: number} | null} */
     this.pending = null;
     this.pause.addEventListener("click", () => this.#send(this.status?.phase === "paused" ? "resume" : "pause"));
     this.save.addEventListener("click", () => this.#send("save"));
@@ -67,7 +67,7 @@ export class Controls {
 }
 
 /**
- * Returns what the user can do about a run that does not train.
+ * Returns a text that tells the user how to continue a run that is not training.
  * @param {Status} status
  */
 function explain(status) {

@@ -19,7 +19,7 @@ export function buttonById(id) {
 }
 
 /**
- * Returns the first descendant of an element that has this tag name. The descendant must exist.
+ * Returns an element's first descendant with this tag name, which must exist.
  * @template {keyof HTMLElementTagNameMap} Name
  * @param {HTMLElement} parent
  * @param {Name} name

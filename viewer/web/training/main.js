@@ -10,7 +10,7 @@ const POLL_MS = 2000;
 /** Time in milliseconds between two requests while the run does not train. */
 const IDLE_POLL_MS = 5000;
 
-/** Follows a run: requests its state from the server, and shows it. */
+/** Requests the state of a run from the server regularly, and shows it. */
 class TrainingPage {
   constructor() {
     this.curves = new Curves(byId("charts"));
@@ -21,7 +21,7 @@ class TrainingPage {
     this.shown = "";
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.timer = undefined;
-    // A hidden page sends no requests. When the page is shown again, it sends a request at once.
+    // A hidden page sends no requests. When it is shown again, it sends a request at once.
     document.addEventListener("visibilitychange", () => document.hidden || this.#poll());
   }
 

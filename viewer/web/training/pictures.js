@@ -1,6 +1,6 @@
 import { setText, within } from "./elements.js";
 
-/** The validation pictures of a run. The newest picture is shown until the user selects another one. */
+/** Shows a validation image of a run, which is the newest one until the user selects another. */
 export class Pictures {
   /** @param {HTMLElement} parent */
   constructor(parent) {

@@ -1,8 +1,8 @@
-/** Maps values to positions on an axis. Ticks are the labelled values.
+/** A mapping from values to positions on an axis. Ticks are the labelled values.
  * @typedef {{position: (value: number) => number, ticks: number[]}} Axis */
 
 /**
- * An axis from 0 to `length` pixels.
+ * Makes an axis from 0 to `length` pixels.
  * @param {number} least
  * @param {number} largest
  * @param {number} length

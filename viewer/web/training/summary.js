@@ -14,7 +14,7 @@ const PHASES = {
 };
 
 /**
- * Shows the numbers of a run.
+ * Shows the phase, the progress and the numbers of a run.
  * @param {Status} status
  */
 export function showStatus(status) {

@@ -1,6 +1,6 @@
 import { setIcon } from "./icons.js";
 
-/** Speeds of playback that the player offers. */
+/** Playback speeds that the player offers. */
 export const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 
 const HELP = [

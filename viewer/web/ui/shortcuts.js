@@ -2,8 +2,7 @@ import { SPEEDS } from "./panel.js";
 /** @typedef {import("../fourd-player.js").FourdPlayer} FourdPlayer */
 
 /**
- * Handles the keys that control playback and the view. Actions that also exist in the viewer's window have the same
- * keys there.
+ * Handles keyboard shortcuts. The keys for playback and cameras are the same as in the viewer's window.
  * @param {FourdPlayer} player
  */
 export function addShortcuts(player) {

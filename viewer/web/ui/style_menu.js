@@ -5,7 +5,7 @@ import { loadStyles, readTable } from "../stylize/style_file.js";
 const NONE = "none";
 const URL_OF_STYLES = new URL("../stylize.json", import.meta.url);
 
-/** Sets the style that the user selects in the list of styles, or that the attribute `stylize` names. */
+/** Applies the style that the user selects in the list, or that the attribute `stylize` names. */
 export class StyleMenu {
   /** @param {FourdPlayer} player */
   constructor(player) {
@@ -29,13 +29,13 @@ export class StyleMenu {
     if (name !== NONE || this.file) await this.choose(name);
   }
 
-  /** Shows the list of the page's styles. If the page has no styles, the list stays hidden. */
+  /** Shows the list of the page's styles, or leaves it hidden if the page has none. */
   async offer() {
     await this.#load().catch(() => {});
   }
 
   /**
-   * Draws the scene in a style. If this fails, the page shows a note, and the scene is drawn without a style.
+   * Draws the scene in a style. If this fails, a note is shown, and the scene is drawn without a style.
    * @param {string} name
    */
   async choose(name) {

@@ -23,15 +23,15 @@ import { selectSourceViews } from "../navigate/source_views.js";
  */
 
 const MODE = "immersive-vr";
-/** Distance in metres from the viewer to the pivot of the view at the start. */
+/** Initial distance in metres from the viewer to the pivot of the view. */
 const PIVOT_DISTANCE = 1.5;
 const TURN_PER_SECOND = Math.PI / 2;
 /** A fully deflected thumbstick multiplies the distance to the pivot by this factor per second. */
 const DOLLY_PER_SECOND = 2;
-/** A thumbstick has an effect only if its deflection, from 0 to 1, is larger than this value. */
+/** A thumbstick is ignored if its deflection, from 0 to 1, is not larger than this value. */
 const DEAD_ZONE = 0.15;
 
-/** Whether the browser and a connected headset can show virtual reality. */
+/** Returns true if the browser and a connected headset can show virtual reality. */
 export async function supportsVr() {
   try {
     return (await xrSystem()?.isSessionSupported(MODE)) ?? false;
@@ -41,14 +41,14 @@ export async function supportsVr() {
 }
 
 /**
- * Shows a stage in a headset. The viewer starts at the eye of the page's view. At the start, the pivot of the view is
- * 1.5 m away from the viewer. The trigger starts and pauses playback. A thumbstick orbits the pivot, and moves the
+ * Shows a stage in a headset. The viewer starts at the eye of the page's view, and the scene is scaled so that the
+ * pivot of the view is 1.5 m away. The trigger starts and pauses playback. The thumbsticks orbit the pivot and move the
  * viewer nearer or farther.
  */
 export class VrSession {
   /**
    * Starts a session. Browsers allow the start only while they handle a click.
-   * @param {Stage} stage The stage does not draw into its canvas until the session ends.
+   * @param {Stage} stage It does not draw into its canvas until the session ends.
    * @param {(error: unknown) => void} ended Called when the session has ended, with an error or null.
    * @returns {Promise<VrSession>} Rejected if the browser refuses the session.
    */
@@ -99,7 +99,7 @@ export class VrSession {
 
   end() {
     this.isEnding = true;
-    this.session.end().catch(() => {}); // An error is ignored, because the session may have ended already.
+    this.session.end().catch(() => {}); // Ignore errors, because the session may have ended already.
   }
 
   /**
@@ -137,7 +137,7 @@ export class VrSession {
       return viewport && viewport.width > 0 && viewport.height > 0 ? [{ view, viewport }] : [];
     });
     if (eyes.length === 0) return;
-    // The depth order and the source views are chosen for the pose of the head, and both eyes use them.
+    // Both eyes use the depth order and the source views of the head's pose.
     const { view, viewport } = eyes[0];
     const headMatrix = multiply4(viewer.transform.inverse.matrix, matrix);
     const head = hostCamera(headMatrix, view.projectionMatrix, viewport.width, viewport.height).camera;

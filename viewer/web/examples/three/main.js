@@ -9,9 +9,9 @@ const renderer = new THREE.WebGLRenderer({ canvas, antialias: false });
 const gl = /** @type {WebGL2RenderingContext} */ (renderer.getContext());
 const camera = new THREE.PerspectiveCamera(40, 1, 0.05, 100);
 const controls = new OrbitControls(camera, canvas);
-/** Objects that three.js draws before the points. These objects hide the points behind them. */
+/** Objects that three.js draws before the points, and that hide the points behind them. */
 const opaque = new THREE.Scene();
-/** Objects that three.js draws after the points. The points hide objects behind them. */
+/** Objects that three.js draws after the points, and that are hidden by the points in front of them. */
 const transparent = new THREE.Scene();
 /** Colour and depth of the opaque objects. */
 const target = new THREE.WebGLRenderTarget(1, 1, { samples: 4, depthTexture: new THREE.DepthTexture(1, 1) });
@@ -39,7 +39,7 @@ function addObjects() {
   transparent.add(glass);
 }
 
-/** The view from which the points are drawn: the unchanged matrices of three.js, and the viewport. */
+/** Returns the view from which the points are drawn, which consists of three.js' matrices and the viewport. */
 function view() {
   const { width, height } = canvas;
   const viewport = /** @type {[number, number, number, number]} */ ([0, 0, width, height]);
@@ -93,7 +93,7 @@ async function start() {
   return { THREE, renderer, camera, opaque, transparent, points, draw, view, gl };
 }
 
-/** The parts of the page, for test programs that control it. */
+/** The parts of the page, exported for tests that control it. */
 export const example = start().catch((error) => {
   message.textContent = String(error);
   throw error;
