@@ -87,8 +87,8 @@ FOURD_DEVICE static inline void atomic_min(std::uint64_t* target, std::uint64_t 
 #endif
 }
 
-// `*target` and `value` must be at least 0, because only such floats have the same order as their bits, read as
-// integers.
+// Replaces `*target` by the larger of `*target` and `value`. The sign bit of both must be 0, because only the bits of
+// such floats, read as unsigned integers, have the same order as the floats.
 FOURD_DEVICE static inline void atomic_max(float* target, float value) {
 #ifdef __CUDA_ARCH__
     atomicMax(reinterpret_cast<unsigned*>(target), __float_as_uint(value));

@@ -100,7 +100,8 @@ struct TextureArguments {
         return out;
     }
 
-    // The kernels that build mip levels average two texels along each axis, so a side must be even or 1.
+    // The kernels that build mip levels average pairs of texels along each axis that has more than one texel. In every
+    // level except the last, each side must therefore be even or 1.
     static void require_chain(const texture::Shape& shape) {
         for (int level = 0; level + 1 < shape.level_count; ++level) {
             for (const int side : {texture::side_at(shape.height, level), texture::side_at(shape.width, level)}) {

@@ -77,7 +77,8 @@ void DepthBins::radix_pass(const std::vector<Run>& runs, std::uint32_t low, int 
     std::swap(items_, spare_);
 }
 
-// Sorts the items of all spans stably by key. The spans may have gaps between them, but the sorted items have none.
+// Sorts the items of all runs together, stably by key. There may be gaps between the runs, but the sorted sequence has
+// none.
 void DepthBins::radix_sort(std::vector<Run> runs, Team& team) {
     std::vector<KeyRange> ranges(runs.size());
     team.run(static_cast<int>(runs.size()), [&](int part, int) {

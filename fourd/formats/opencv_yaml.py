@@ -128,8 +128,9 @@ def _without_tag(text: str) -> str:
 
 
 def _fields(text: str) -> dict[str, str]:
-    """Split a map, such as a matrix, into its fields. The value of a field ends at the next line with a key. Nested
-    maps are not supported."""
+    """Split the text of a YAML mapping into its keys and values. OpenCV writes a matrix, for example, as a mapping with
+    the keys ``rows``, ``cols``, ``dt`` and ``data``. A value ends at the next line with a key, and nested mappings are
+    not supported."""
     fields: dict[str, list[str]] = {}
     name = None
     for line in text.split("\n")[1:]:

@@ -45,8 +45,8 @@ void forward(const Query& query, const float* attr, std::size_t begin, std::size
     }
 }
 
-// Adds the contribution of one pixel to `sums` (3, channels), the gradients with respect to the attributes of the
-// pixel's three vertices. Writes the gradients with respect to the pixel's rast and rast_db.
+// Adds the contribution of one pixel to `sums`, and writes the gradients with respect to the pixel's rast and rast_db.
+// `sums` (3, channels) holds the gradients with respect to the attributes of the pixel's three vertices.
 template <int Channels>
 FOURD_INLINE void pixel_gradient(const Query& query, const Gradients& gradients, std::size_t pixel, const float* a0,
                                  const float* a1, const float* a2, float* FOURD_RESTRICT sums) {
