@@ -5,7 +5,9 @@
 
 #include <cstdint>
 
+#include "common/buffer.h"
 #include "common/simd.h"
+#include "common/team.h"
 
 namespace fourd::pixel_filter {
 
@@ -16,5 +18,15 @@ struct Image {
 
 // Writes the filtered image to `out` (height, width, 4), which must not overlap image.rgba. `side` is in [0, 0.25].
 void filter_pixels(const Image& image, float side, int threads, Simd simd, std::uint8_t* out);
+
+// A rectangle of pixels: the columns from `left` to before `right` of the rows from `top` to before `bottom`.
+struct Region {
+    int left, top, right, bottom;
+};
+
+// Replaces the pixels of a region of the image `rgba` (height, width, 4) by those of the filtered image. Pixels outside
+// the region are read but stay unchanged. `scratch` is memory that callers keep for the next image.
+void filter_in_place(std::uint8_t* rgba, int width, int height, const Region& region, float side, Simd simd, Team& team,
+                     Buffer<std::uint8_t>& scratch);
 
 }  // namespace fourd::pixel_filter

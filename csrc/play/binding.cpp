@@ -25,15 +25,16 @@ void draw(play::Player& player, const Arguments::Xyz& xyz, const Arguments::Colu
           const Arguments::Column& density, const Arguments::Harmonics& sh, const Arguments::Weights& weights,
           const Arguments::Colours& rgb, const ChosenArray& chosen, const ViewWeightArray& view_weights,
           const CentreArray& centre, float sh_range, float sh_base, const std::vector<double>& camera, int layers,
-          double near_depth, double transmittance_min, const std::array<float, 3>& background, int threads,
-          const std::string& simd, const Picture& out) {
+          double near_depth, double transmittance_min, const std::array<float, 3>& background, float pixel_filter,
+          int threads, const std::string& simd, const Picture& out) {
+    require(pixel_filter >= 0.0f && pixel_filter <= 0.25f, "pixel_filter: expected a weight from 0 to 0.25");
     const play::Frame frame = Arguments::frame(xyz, radius, density, sh, weights, rgb);
     const shade::Settings shading =
         shade_settings(chosen, view_weights, frame.points.views, centre, sh_range, sh_base, threads, simd);
     const points::Settings settings =
         points_settings(camera, out.shape(1), out.shape(0), layers, near_depth, transmittance_min, threads, simd);
     nb::gil_scoped_release release;
-    player.draw(frame, settings, shading, {out.data(), {background[0], background[1], background[2]}});
+    player.draw(frame, settings, shading, {out.data(), {background[0], background[1], background[2]}}, pixel_filter);
 }
 
 using Octahedral = nb::ndarray<const std::uint8_t, nb::shape<-1, 2>, nb::c_contig, nb::device::cpu>;
@@ -84,7 +85,8 @@ void bind_play(nb::module_& module) {
         .def("draw", &draw, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("sh"),
              nb::arg("blend_weights"), nb::arg("rgb"), nb::arg("chosen"), nb::arg("view_weights"), nb::arg("centre"),
              nb::arg("sh_range"), nb::arg("sh_base"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"),
-             nb::arg("transmittance_min"), nb::arg("background"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"));
+             nb::arg("transmittance_min"), nb::arg("background"), nb::arg("pixel_filter"), nb::arg("threads"),
+             nb::arg("simd"), nb::arg("out"));
     player.def("draw_surface", &draw_surface, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("sh"),
                nb::arg("blend_weights"), nb::arg("rgb"), nb::arg("normals"), nb::arg("chosen"),
                nb::arg("view_weights"), nb::arg("centre"), nb::arg("sh_range"), nb::arg("sh_base"), nb::arg("camera"),

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "common/buffer.h"
+#include "pixel_filter/pixel_filter.h"
 #include "play/frame.h"
 #include "points/cpu/bins.h"
 #include "points/cpu/workspace.h"
@@ -43,9 +44,10 @@ class EmptyTiles {
 class Player {
   public:
     // `settings` and `shading` must have the same `threads` and the same `simd`. canvas.rgba has the image size of
-    // settings.camera.
+    // settings.camera. `filter_side` is the weight of a neighbour in the pixel filter (pixel_filter/pixel_filter.h), or
+    // 0 for no filter.
     void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
-              const points::Canvas& canvas);
+              const points::Canvas& canvas, float filter_side);
 
     // Draws the same colours as draw(), and the visible surface. frame.normals must not be null.
     void draw_surface(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
@@ -61,11 +63,15 @@ class Player {
     // point.
     template <typename Work>
     void for_visible(std::size_t begin, std::size_t end, const Work& work) const;
+    // Returns the smallest region outside of which the pixel filter changes nothing.
+    pixel_filter::Region filtered_region(int width, int height) const;
 
     points::Workspace workspace_;
     Sizes sizes_;
     Buffer<float> colour_, surface_features_;
     EmptyTiles empty_tiles_;
+    std::vector<std::uint8_t> has_points_;  // Indexed by tile, for the last image of draw().
+    Buffer<std::uint8_t> filter_scratch_;
 };
 
 // Sorts points by depth, for renderers that need a depth order.

@@ -62,11 +62,34 @@ points::Cloud Player::prepare(const Frame& frame, const points::Settings& settin
 }
 
 void Player::draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
-                  const points::Canvas& canvas) {
+                  const points::Canvas& canvas, float filter_side) {
     Team team(settings.threads);
     const points::Cloud cloud = prepare(frame, settings, shading, team, [](std::size_t, std::size_t) {});
     const points::Loops& loops = points::select_loops(settings.simd);
-    workspace_.draw_tiles(team, [&](int index) { loops.draw(workspace_.tile(cloud, settings, index), canvas); });
+    has_points_.assign(static_cast<std::size_t>(workspace_.bins.tiles()), 0);
+    workspace_.draw_tiles(team, [&](int index) {
+        const points::Tile tile = workspace_.tile(cloud, settings, index);
+        has_points_[static_cast<std::size_t>(index)] = tile.count > 0;
+        loops.draw(tile, canvas);
+    });
+    if (filter_side == 0.0f) return;
+    const int width = settings.camera.width, height = settings.camera.height;
+    pixel_filter::filter_in_place(canvas.rgba, width, height, filtered_region(width, height), filter_side,
+                                  settings.simd, team, filter_scratch_);
+}
+
+pixel_filter::Region Player::filtered_region(int width, int height) const {
+    const int columns = workspace_.bins.columns();
+    pixel_filter::Region tiles{columns, workspace_.bins.rows(), 0, 0};
+    for (int index = 0; index < workspace_.bins.tiles(); ++index) {
+        if (has_points_[static_cast<std::size_t>(index)] == 0) continue;
+        const int column = index % columns, row = index / columns;
+        tiles = {std::min(tiles.left, column), std::min(tiles.top, row), std::max(tiles.right, column + 1),
+                 std::max(tiles.bottom, row + 1)};
+    }
+    // The filter also changes the pixels next to a tile with points.
+    return {std::max(tiles.left * tiles::kTile - 1, 0), std::max(tiles.top * tiles::kTile - 1, 0),
+            std::min(tiles.right * tiles::kTile + 1, width), std::min(tiles.bottom * tiles::kTile + 1, height)};
 }
 
 void Player::draw_surface(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,

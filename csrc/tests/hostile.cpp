@@ -155,7 +155,7 @@ void run_play(unsigned seed, const char* simd) {
         std::vector<std::uint8_t> rgba(std::size_t{4} * settings.camera.width * settings.camera.height);
         const fourd::play::Frame frame{
             {xyz.data(), sh.data(), weights.data(), rgb.data(), count, views}, radius.data(), density.data()};
-        player.draw(frame, settings, shading, {rgba.data(), {0, 0.5f, 1}});
+        player.draw(frame, settings, shading, {rgba.data(), {0, 0.5f, 1}}, seed % 3 ? 0.1f : 0.0f);
         fourd::tests::draw_surfaces(random, player, frame, settings, shading);
         std::vector<std::uint32_t> order(count);
         order.resize(sorter.sort(frame, settings, order.data()));

@@ -119,7 +119,7 @@ std::function<void()> play_workload(const Size& size) {
         fast.transmittance_min = 1e-3f;
         const fourd::shade::Settings shading{chosen.data(), view_weights.data(), 4,        {0, -3, 0.4}, 0.25f,
                                              0.0f,          size.threads,        size.simd};
-        player->draw(frame, fast, shading, {picture.data(), {0, 0, 0}});
+        player->draw(frame, fast, shading, {picture.data(), {0, 0, 0}}, 0.0f);
     };
 }
 

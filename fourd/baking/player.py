@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
-from threading import Lock
-
 import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.baking.shade import make_shading
 from fourd.cameras import Camera
-from fourd.ops.aligned import zeros_aligned
-from fourd.ops.pixel_filter.op import filter_pixels
 from fourd.ops.play.op import PointPlayer
 
 
 class Player:
     """Draws baked frames and reuses its workspace between images.
 
-    Several threads may use one instance, because a lock serializes their calls.
+    Several threads may use one instance, because :class:`PointPlayer` serializes their calls.
     """
 
     def __init__(self) -> None:
         """Raises ImportError if the native module is not built."""
         self._points = PointPlayer()
-        self._lock = Lock()
-        self._unfiltered: NDArray[np.uint8] | None = None
 
     def draw(
         self,
@@ -57,27 +51,19 @@ class Player:
         Raises:
             TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
         """
-        side = manifest.pixel_filter
-        with self._lock:
-            image = self._points.draw(
-                frame.xyz,
-                frame.radius,
-                frame.density,
-                frame.sh,
-                frame.blend_weights,
-                frame.rgb,
-                make_shading(camera, manifest),
-                camera,
-                layers=manifest.layers if layers is None else layers,
-                near=manifest.near,
-                background=background,
-                threads=threads,
-                out=out if side == 0 else self._unfiltered_image(camera),
-            )
-            return image if side == 0 else filter_pixels(image, side, threads=threads, out=out)
-
-    def _unfiltered_image(self, camera: Camera) -> NDArray[np.uint8]:
-        shape = (camera.height, camera.width, 4)
-        if self._unfiltered is None or self._unfiltered.shape != shape:
-            self._unfiltered = zeros_aligned(shape, np.uint8)
-        return self._unfiltered
+        return self._points.draw(
+            frame.xyz,
+            frame.radius,
+            frame.density,
+            frame.sh,
+            frame.blend_weights,
+            frame.rgb,
+            make_shading(camera, manifest),
+            camera,
+            layers=manifest.layers if layers is None else layers,
+            near=manifest.near,
+            background=background,
+            pixel_filter=manifest.pixel_filter,
+            threads=threads,
+            out=out,
+        )

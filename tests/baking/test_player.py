@@ -15,6 +15,7 @@ from fourd.baking.scene import BakedFrame, SceneManifest, make_frame
 from fourd.baking.shade import make_shading
 from fourd.cameras import Camera
 from fourd.ops.loading import load_native
+from fourd.ops.pixel_filter.op import filter_pixels
 from fourd.ops.pixel_filter.reference import filter_pixels_reference
 from fourd.ops.play.reference import draw_points_reference
 from tests.baking.scenes import manifest, random_frame, ring
@@ -61,6 +62,25 @@ def test_bytes_equal_the_float_picture(points: int, layers: int, simd: str, monk
         truth = draw_reference(frame, camera, described, layers, background)
         assert picture.shape == truth.shape
         assert np.abs(picture.astype(float) - 255 * truth).max() <= 1.0
+
+
+@pytest.mark.parametrize("size", [(1, 1), (16, 33), (101, 67), (150, 131)])
+@pytest.mark.parametrize("points", [0, 1, 3, 2000])
+def test_a_filtered_picture_is_the_filter_of_the_unfiltered_one(
+    points: int, size: tuple[int, int], rng: np.random.Generator
+) -> None:
+    """Catches a filter that skips pixels beside the points, or that reads rows which it has already replaced. Points
+    that cover a few tiles and images of several bands of rows are filtered in parts."""
+    seed = int(rng.integers(1 << 30))
+    print(f"seed {seed}")
+    frame, described = random_frame(points, 6, seed=seed), manifest(views=6)
+    player = Player()
+    for camera in ring(3):
+        for threads in (1, 3):
+            options = {"background": (0.2, 0.9, 0.4), "threads": threads}
+            plain = player.draw(frame, camera.resize(*size), replace(described, pixel_filter=0.0), **options)
+            filtered = player.draw(frame, camera.resize(*size), replace(described, pixel_filter=0.2), **options)
+            np.testing.assert_array_equal(filtered, filter_pixels(plain, 0.2))
 
 
 def test_a_crop_of_the_camera_draws_that_part() -> None:

@@ -9,6 +9,7 @@ import moderngl
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.discs import Discs
 from fourd.viewer.gl.frame_textures import Precision
+from fourd.viewer.gl.image_region import ImageRegion
 from fourd.viewer.gl.passes import (
     FullScreenPass,
     RenderTargets,
@@ -49,16 +50,32 @@ class OverBackground:
         self._pass = FullScreenPass(context, "over_background.frag")
 
     def run(
-        self, image: moderngl.Texture, request: RenderRequest, target: moderngl.Framebuffer, is_picture: bool
+        self,
+        image: moderngl.Texture,
+        request: RenderRequest,
+        target: moderngl.Framebuffer,
+        is_picture: bool,
+        region: ImageRegion,
     ) -> None:
-        """Draw ``image`` into ``target`` as :meth:`Compositor.draw` does. The framebuffer ``target`` stays bound."""
+        """Draw ``image`` into ``target`` as :meth:`Compositor.draw` does. The framebuffer ``target`` stays bound.
+
+        Outside ``region``, the image is empty, so images are filtered only inside.
+        """
         if not is_picture:
             self.copy(image, target)
             return
-        target.use()
+        background = request.settings.background
+        target.clear(color=(*background, 0.0))
+        size = (region.right - region.left, region.bottom - region.top)
+        if min(size) <= 0:
+            return
         disable_blending(self._context)
-        uniforms = {"background": request.settings.background, "pixel_filter": request.manifest.pixel_filter}
+        target.use()
+        width, height = request.camera.width, request.camera.height
+        target.viewport = (region.left, height - region.bottom, *size)
+        uniforms = {"background": background, "pixel_filter": request.manifest.pixel_filter}
         self._pass.run({"image": image}, is_picture=True, **uniforms)
+        target.viewport = (0, 0, width, height)
 
     def copy(self, image: moderngl.Texture, target: moderngl.Framebuffer) -> None:
         """Copy ``image`` into ``target`` without a background or a filter. The framebuffer ``target`` stays bound."""
@@ -93,10 +110,13 @@ class SortedBlending:
             self.discs.draw("blend", target, upright=True)
             return
         self._targets.resize((request.camera.width, request.camera.height))
-        self._targets.clear("image")
+        region = self.discs.region
+        # The filter also reads the pixels next to the region.
+        size = (region.right - region.left + 2, region.bottom - region.top + 2)
+        self._targets.framebuffer(["image"]).clear(viewport=(region.left - 1, region.top - 1, *size))
         blend_over(self._context)
         self.discs.draw("blend", self._targets.framebuffer(["image"]))
-        self._over_background.run(self._targets.texture("image"), request, target, is_picture)
+        self._over_background.run(self._targets.texture("image"), request, target, is_picture, self.discs.region)
 
     def release(self) -> None:
         """Free all GL objects."""
@@ -128,7 +148,7 @@ class DepthPeeling:
             targets.framebuffer(["sum"]).use()
             blend_under(self._context)
             self._copy.run({"image": targets.texture("layer")})
-        self._over_background.run(targets.texture("sum"), request, target, is_picture)
+        self._over_background.run(targets.texture("sum"), request, target, is_picture, self.discs.region)
 
     def _peel_layer(self, ranks: str, previous_ranks: str) -> None:
         targets = self._targets
@@ -184,7 +204,7 @@ class DualDepthPeeling:
         targets.framebuffer([f"front {last % 2}"]).use()
         blend_under(self._context)
         self._copy.run({"image": targets.texture(f"back {last % 2}")})
-        self._over_background.run(targets.texture(f"front {last % 2}"), request, target, is_picture)
+        self._over_background.run(targets.texture(f"front {last % 2}"), request, target, is_picture, self.discs.region)
 
     def _peel(self, index: int, front_only: bool = False) -> None:
         """Run geometry pass ``index``, counted from 0.

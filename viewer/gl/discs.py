@@ -16,6 +16,7 @@ from fourd.errors import UserError
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.context import driver_info
 from fourd.viewer.gl.frame_textures import FrameTextures
+from fourd.viewer.gl.image_region import ImageRegion, RegionFinder
 from fourd.viewer.gl.shaders import TEXELS_PER_ROW, compile_program, set_uniforms
 
 Paint = Literal["colour", "normal", "depth"]
@@ -69,6 +70,9 @@ class Discs:
         self._count = 0
         self._size = (1, 1)
         self._margin: int | None = None
+        self._regions = RegionFinder()
+        self.region = ImageRegion(0, 0, 1, 1)
+        """Part of the image outside of which the projected discs and the pixel filter have no effect."""
 
     def project(
         self,
@@ -92,8 +96,10 @@ class Discs:
         self._size = (request.camera.width, request.camera.height)
         self._reserve(max(request.frame.point_count, 1))
         if self._count == 0:
+            self.region = ImageRegion(0, 0, 0, 0)
             return
         self._margin = self._sprite_margin(order, request)
+        self.region = self._regions.find(request, self._margin)
         self._buffers["order"].write(np.ascontiguousarray(order[::-1]) if self._farthest_first else order)
         views = request.frame.view_count
         set_uniforms(self._shade_program, **textures.use(), views=views, **_camera_uniforms(request.camera))

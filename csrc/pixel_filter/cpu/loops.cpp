@@ -15,19 +15,6 @@ namespace {
 constexpr int kRun = 64;
 constexpr int kChannels = 4;
 
-// A row of the image, with the rows above and below it.
-struct Rows {
-    const std::uint8_t *above, *centre, *below;
-};
-
-FOURD_INLINE Rows rows_around(const Image& image, int row) {
-    const std::size_t stride = static_cast<std::size_t>(kChannels) * image.width;
-    const auto at = [&](int y) FOURD_INLINE_LAMBDA {
-        return image.rgba + stride * static_cast<std::size_t>(y < 0 ? 0 : y < image.height ? y : image.height - 1);
-    };
-    return {at(row - 1), at(row), at(row + 1)};
-}
-
 // Computes the means along columns for `count` bytes of the rows, starting with byte `first`.
 FOURD_INLINE void filter_columns(const Rows& rows, std::size_t first, int count, float side, float* FOURD_RESTRICT out) {
     const std::uint8_t *above = rows.above + first, *centre = rows.centre + first, *below = rows.below + first;
@@ -51,37 +38,33 @@ FOURD_INLINE bool is_one_colour(const Rows& rows, std::size_t begin, std::size_t
     return different == 0;
 }
 
-FOURD_INLINE void filter_run(const Image& image, const Rows& rows, int begin, int end, float side,
+FOURD_INLINE void filter_run(const Rows& rows, int width, int begin, int end, float side,
                              std::uint8_t* FOURD_RESTRICT out) {
-    const int left = begin > 0 ? begin - 1 : 0, right = end < image.width ? end : image.width - 1;
+    const int left = begin > 0 ? begin - 1 : 0, right = end < width ? end : width - 1;
     const int count = kChannels * (end - begin);
     const auto byte_of = [](int pixel) FOURD_INLINE_LAMBDA { return static_cast<std::size_t>(kChannels) * pixel; };
     if (is_one_colour(rows, static_cast<std::size_t>(left), static_cast<std::size_t>(right) + 1)) {
-        std::memcpy(out, rows.centre + byte_of(begin), static_cast<std::size_t>(count));
+        std::memcpy(out + byte_of(begin), rows.centre + byte_of(begin), static_cast<std::size_t>(count));
         return;
     }
     float columns[kChannels * (kRun + 2)];
     filter_columns(rows, byte_of(left), kChannels, side, columns);
     filter_columns(rows, byte_of(begin), count, side, columns + kChannels);
     filter_columns(rows, byte_of(right), kChannels, side, columns + kChannels + count);
+    std::uint8_t* FOURD_RESTRICT first = out + byte_of(begin);
     for (int i = 0; i < count; ++i) {
-        out[i] = to_byte(mean_of(columns[i], columns[i + kChannels], columns[i + 2 * kChannels], side));
+        first[i] = to_byte(mean_of(columns[i], columns[i + kChannels], columns[i + 2 * kChannels], side));
     }
 }
 
-void filter_rows(const Image& image, float side, int begin, int end, std::uint8_t* out) {
-    for (int row = begin; row < end; ++row) {
-        const Rows rows = rows_around(image, row);
-        for (int first = 0; first < image.width; first += kRun) {
-            const int next = first + kRun < image.width ? first + kRun : image.width;
-            const std::size_t pixel = static_cast<std::size_t>(row) * image.width + first;
-            filter_run(image, rows, first, next, side, out + kChannels * pixel);
-        }
+void filter_row(const Rows& rows, int width, int begin, int end, float side, std::uint8_t* out) {
+    for (int first = begin; first < end; first += kRun) {
+        filter_run(rows, width, first, first + kRun < end ? first + kRun : end, side, out);
     }
 }
 
 }  // namespace
 
-const Loops loops = {filter_rows};
+const Loops loops = {filter_row};
 
 }  // namespace fourd::pixel_filter::FOURD_SIMD

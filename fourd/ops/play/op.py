@@ -49,6 +49,7 @@ class PointPlayer:
         layers: int,
         near: float,
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        pixel_filter: float = 0.0,
         threads: int = 0,
         out: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.uint8]:
@@ -63,6 +64,8 @@ class PointPlayer:
             layers: maximum number of points that are composited in a pixel.
             near: points with a camera depth below this number of world units are culled.
             background: red, green and blue values behind the points, in [0, 1].
+            pixel_filter: weight of a neighbouring pixel, from 0 to 0.25, in the filter of
+                :func:`fourd.ops.pixel_filter.op.filter_pixels`. If 0, the image is not filtered.
             threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
             out: C-contiguous (H, W, 4) uint8 array to draw into. If None, a new array is allocated.
 
@@ -88,6 +91,7 @@ class PointPlayer:
                 near,
                 MIN_TRANSMITTANCE,
                 list(background),
+                pixel_filter,
                 thread_count(threads),
                 simd_name(),
                 out,
