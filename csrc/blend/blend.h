@@ -1,8 +1,8 @@
 // Computes the logits for blending source views with a small MLP. The logit of a point in a view is
-//     range * tanh((out . relu(point + weight^T sample) + bias) / range),
-// where `point` is the point's contribution to the hidden layer, and `sample` has the channels of the point in the
-// view. The kernel never stores the hidden layer for all views and points at once. Callers check shapes, and arrays are
-// dense.
+//     range * tanh((out . relu(point + weight^T sample) + bias) / range).
+// Inputs::point is the contribution to the hidden layer that is the same in all views, and `sample` holds the channels
+// that were sampled from the view for this point. The other symbols are members of Mlp. The kernel never stores the
+// hidden layer for all views and points at once. Callers check shapes, and arrays are dense.
 #pragma once
 
 #include <cstddef>

@@ -67,10 +67,11 @@ class SourceSamples:
 def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, softness: Tensor) -> SourceSamples:
     """Project points into every source view and sample the views bilinearly.
 
-    A point's visibility weight in a view is the squared matte times the occlusion factor, which ``softness`` defines.
-    The matte is squared because pixels on the silhouette also contain background colour, so their weight must be lower
-    than their coverage. For float32 inputs, one fused kernel projects the points and samples the views. It runs on the
-    CPU or, if the CUDA kernels are compiled, on a CUDA device.
+    A point's visibility weight in a view is the square of the matte at its projection, times an occlusion factor. This
+    factor falls with the depth of the point behind the nearest surface (see ``softness``). The matte is squared because
+    pixels on the silhouette also contain background colour, so their weight must be lower than their coverage. For
+    float32 inputs, one fused kernel projects the points and samples the views. It runs on the CPU or, if the CUDA
+    kernels are compiled, on a CUDA device.
 
     Args:
         xyz: (N, 3) points in world units. The points get gradients through the projection.

@@ -3,8 +3,9 @@
     python tools/scale/measure_costs.py CAPTURE -o tools/scale/costs.json
 
 CAPTURE must have image files and masks. Each stage runs several times on one core, with different numbers of frames,
-cameras, pixels and points. The coefficients are fitted to CPU seconds, which depend little on other programs, by
-non-negative least squares on the relative errors. The program prints the largest relative error of each fit.
+cameras, pixels and points. The coefficients are fitted by non-negative least squares on the relative errors. The fit
+uses CPU seconds, because other running programs affect them less than wall-clock time. The program prints the largest
+relative error of each fit.
 """
 
 from __future__ import annotations

@@ -103,8 +103,8 @@ class GLRenderer:
     def _release_styled(self) -> None:
         """Free the objects that only styles need, and all frame textures.
 
-        The frame textures may contain estimated normals. As frames without a style are uploaded without normals, the
-        normals of the background would otherwise stay in the textures and become outdated.
+        The frame textures may contain estimated normals. Frames without a style are uploaded without normals, so if the
+        textures were kept, they would still contain the background's old normals when a style is chosen again.
         """
         if self._styled is None:
             return

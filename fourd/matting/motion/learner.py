@@ -208,8 +208,8 @@ def _background_confirmation(odds: Floats) -> Floats:
     Typical background colours have a high weight.
 
     A static part of the subject keeps its colour over as many frames as the background does, so a constant colour is no
-    evidence for background at pixels that are always inside the other views' hull. There, only a colour that is typical
-    of the background is such evidence.
+    evidence for background at pixels that are always inside the other views' hull. At these pixels, only a colour
+    that is typical of the background is evidence for background.
     """
     return np.maximum(probability(COLOUR_SLOPE * (-COLOUR_MARGIN - odds)), MIN_CONFIRMATION)
 
