@@ -64,8 +64,7 @@ class PointPlayer:
             layers: maximum number of points that are composited in a pixel.
             near: points with a camera depth below this number of world units are culled.
             background: red, green and blue values behind the points, in [0, 1].
-            pixel_filter: weight of a neighbouring pixel, from 0 to 0.25, in the filter of
-                :func:`fourd.ops.pixel_filter.op.filter_pixels`. If 0, the image is not filtered.
+            pixel_filter: ``side`` of :func:`fourd.ops.pixel_filter.op.filter_pixels`; 0 for no filter.
             threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
             out: C-contiguous (H, W, 4) uint8 array to draw into. If None, a new array is allocated.
 
@@ -78,8 +77,7 @@ class PointPlayer:
         """
         check_points({"xyz": xyz, "radius": xyz[:, 0], "density": xyz[:, 0]}, camera, layers, near)
         shape = (camera.height, camera.width, 4)
-        if out is None:
-            out = np.empty(shape, np.uint8)
+        out = np.empty(shape, np.uint8) if out is None else out
         check_canvas(out, shape, out.flags.c_contiguous)
         with self._lock:
             self._native.draw(
