@@ -63,14 +63,13 @@ class Player {
     // point.
     template <typename Work>
     void for_visible(std::size_t begin, std::size_t end, const Work& work) const;
-    // Returns the smallest region outside of which the pixel filter changes nothing.
+    // Returns the smallest region outside of which the pixel filter changes nothing, according to the bins.
     pixel_filter::Region filtered_region(int width, int height) const;
 
     points::Workspace workspace_;
     Sizes sizes_;
     Buffer<float> colour_, surface_features_;
     EmptyTiles empty_tiles_;
-    std::vector<std::uint8_t> has_points_;  // Indexed by tile, for the last image of draw().
     Buffer<std::uint8_t> filter_scratch_;
 };
 

@@ -66,23 +66,22 @@ void Player::draw(const Frame& frame, const points::Settings& settings, const sh
     Team team(settings.threads);
     const points::Cloud cloud = prepare(frame, settings, shading, team, [](std::size_t, std::size_t) {});
     const points::Loops& loops = points::select_loops(settings.simd);
-    has_points_.assign(static_cast<std::size_t>(workspace_.bins.tiles()), 0);
-    workspace_.draw_tiles(team, [&](int index) {
-        const points::Tile tile = workspace_.tile(cloud, settings, index);
-        has_points_[static_cast<std::size_t>(index)] = tile.count > 0;
-        loops.draw(tile, canvas);
-    });
+    const bool is_one_band = workspace_.draw_tiles(
+        team, [&](int index) { loops.draw(workspace_.tile(cloud, settings, index), canvas); });
     if (filter_side == 0.0f) return;
     const int width = settings.camera.width, height = settings.camera.height;
-    pixel_filter::filter_in_place(canvas.rgba, width, height, filtered_region(width, height), filter_side,
-                                  settings.simd, team, filter_scratch_);
+    // If the image was drawn in several bands, the bins have the entries of the last band only.
+    const pixel_filter::Region region =
+        is_one_band ? filtered_region(width, height) : pixel_filter::Region{0, 0, width, height};
+    pixel_filter::filter_in_place(canvas.rgba, width, height, region, filter_side, settings.simd, team,
+                                  filter_scratch_);
 }
 
 pixel_filter::Region Player::filtered_region(int width, int height) const {
     const int columns = workspace_.bins.columns();
     pixel_filter::Region tiles{columns, workspace_.bins.rows(), 0, 0};
     for (int index = 0; index < workspace_.bins.tiles(); ++index) {
-        if (has_points_[static_cast<std::size_t>(index)] == 0) continue;
+        if (workspace_.bins.tile_begin()[index] == workspace_.bins.tile_begin()[index + 1]) continue;
         const int column = index % columns, row = index / columns;
         tiles = {std::min(tiles.left, column), std::min(tiles.top, row), std::max(tiles.right, column + 1),
                  std::max(tiles.bottom, row + 1)};

@@ -13,7 +13,6 @@ namespace fourd::pixel_filter::FOURD_SIMD {
 namespace {
 
 constexpr int kRun = 64;
-constexpr int kChannels = 4;
 
 // Computes the means along columns for `count` bytes of the rows, starting with byte `first`.
 FOURD_INLINE void filter_columns(const Rows& rows, std::size_t first, int count, float side, float* FOURD_RESTRICT out) {

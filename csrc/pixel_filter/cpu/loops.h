@@ -6,6 +6,8 @@
 
 namespace fourd::pixel_filter {
 
+constexpr int kChannels = 4;
+
 // A row of pixels, with the rows above and below it.
 struct Rows {
     const std::uint8_t *above, *centre, *below;

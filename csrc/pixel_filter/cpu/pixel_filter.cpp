@@ -9,7 +9,6 @@
 namespace fourd::pixel_filter {
 namespace {
 
-constexpr std::size_t kChannels = 4;
 constexpr std::size_t kRowsPerTask = 32;
 
 // Copies of rows that a task needs to filter a band of rows in place.
