@@ -132,7 +132,7 @@ def load_dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def charuco_board(board: CalibrationBoard) -> cv2.aruco.CharucoBoard:
-    """Return OpenCV's object for a ChArUco board, in whose board coordinates the origin is at the upper left and y
+    """Return OpenCV's object for a ChArUco board. In OpenCV's board coordinates, the origin is at the upper left and y
     points down."""
     assert board.dictionary is not None
     assert board.marker_m is not None

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FADE_MARGIN = 1.25
-"""Limit angle of :func:`fading_weights`, as a multiple of the largest angle of the chosen cameras, if no other camera
-has at least this angle.
+"""Factor that determines the angle at which the view weight reaches 0, if no other camera determines it; see
+:func:`fading_weights`.
 """
 
 
@@ -151,8 +151,8 @@ def look_at(centre: Array, target: Array, up: Array, intrinsics: Array, width: i
 def estimate_up(cameras: Sequence[Camera]) -> Array:
     """Estimate the up direction (3,) of a capture, which a calibration does not define.
 
-    The result is the normalised mean of the cameras' -y axes, which point up in the images, or the first camera's -y
-    axis if they cancel out.
+    The result is the normalised mean of the cameras' -y axes, which point up in the images. If the axes cancel out, the
+    result is the first camera's -y axis.
     """
     mean = np.mean([-camera.rotation[1] for camera in cameras], axis=0)
     if np.linalg.norm(mean) < 1e-3:
@@ -189,11 +189,12 @@ def fading_weights(
 ) -> NDArray[np.float32]:
     """Return the view weights (V,) of the V cameras ``chosen``, which decrease with the angle to the viewing camera.
 
-    A chosen camera at the angle a from the viewing camera has the view weight 1 - a / b. Let A be the largest angle of
-    the chosen cameras. The limit angle b is the smallest angle, at least A, of a camera that is not chosen, or
-    FADE_MARGIN * A if there is none. At the moment when another camera replaces a chosen one, both have the weight 0,
-    so the rendered image does not jump (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4). Angles are
-    measured at the point ``focus``. If all view weights would be 0, they are 1 instead.
+    A chosen camera at the angle a from the viewing camera has the view weight 1 - a / b, where b is the limit angle at
+    which the weight reaches 0. Let A be the largest angle of the chosen cameras. Of the cameras that are not chosen,
+    those at angles of at least A are candidates, and b is the smallest angle of a candidate. Without candidates, b is
+    FADE_MARGIN * A. At the moment when another camera replaces a chosen one, both have the weight 0, so the rendered
+    image does not jump (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4). Angles are measured at the
+    point ``focus``. If all view weights would be 0, they are 1 instead.
 
     Args:
         camera: the viewing camera.

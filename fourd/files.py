@@ -1,4 +1,4 @@
-"""Atomic writing of files, which have either their old content or their complete new content."""
+"""Atomic writing of files: at any time, a file has either its old content or its complete new content."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
 
     If ``target`` is a named pipe, a socket or a device, UserError is raised, because the renamed file would replace it.
 
-    Use this context manager with file writers that take a path. The temporary file is synced to disk before it is
-    renamed. If the ``with`` block raises an exception, it is removed, and ``target`` is unchanged. A killed process
-    leaves it behind, until :func:`remove_unfinished` removes it. It has the suffix of ``target``, because some writers
-    choose the file format by the suffix.
+    Use this context manager with file writers that take a path. The temporary file has the suffix of ``target``,
+    because some writers choose the file format by the suffix. It is synced to disk before it is renamed. If the
+    ``with`` block raises an exception, the temporary file is removed, and ``target`` is unchanged. If the process is
+    killed, the temporary file remains until :func:`remove_unfinished` removes it.
     """
     target = Path(target)
     require_regular(target)
@@ -65,8 +65,8 @@ def atomic_folder(target: Path) -> Iterator[Path]:
     """Yield a temporary folder beside ``target``, which replaces the folder ``target`` if the ``with`` block succeeds.
 
     If the ``with`` block raises an exception, the temporary folder is removed and ``target`` is unchanged. An existing
-    ``target`` is renamed before the temporary folder gets its name, and removed afterwards, so that ``target`` is
-    missing only for a moment.
+    ``target`` is first renamed. Then the temporary folder is renamed to ``target``, and the old folder is removed.
+    ``target`` is therefore missing only for a moment.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f"{UNFINISHED}{target.name}-"))
@@ -173,7 +173,8 @@ def _create_temporary(target: Path) -> tuple[int, str]:
         descriptor, name = tempfile.mkstemp(
             dir=target.parent, prefix=f"{UNFINISHED}{target.stem}-", suffix=target.suffix
         )
-        # The file may be missing, because another process removes unlocked temporary files, which look like leftovers.
+        # Until the file is locked, another process may remove it as a leftover of a killed process. If that has
+        # happened, another file is created.
         if try_lock(descriptor) is not False and os.path.exists(name):
             return descriptor, name
         os.close(descriptor)

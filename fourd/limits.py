@@ -1,5 +1,5 @@
-"""Limits for untrusted files (their kind, size and nesting), and conversion of text from them to text that is safe to
-print in a terminal.
+"""Limits for untrusted files (their kind, size and nesting), and a function that makes their text safe to print in a
+terminal.
 
 All readers of fourd open files through this module, or call :func:`require_regular` before a library opens the file.
 """
@@ -56,10 +56,10 @@ def open_regular(path: Path | str) -> BufferedReader:
         UserError: if ``path`` is a named pipe, a socket or a device.
         OSError: if ``path`` is missing, is a folder, or cannot be opened.
     """
-    # The kind of the file is checked before it is opened, because opening a device can have side effects, and again
-    # afterwards, because another process may have replaced the file in between. Only the stream closes the descriptor.
-    # If other code could close it too, a Ctrl-C could cause it to be closed twice, and the second time could close a
-    # file that another thread has opened in the meantime.
+    # The kind of the file is checked before it is opened, because opening a device can have side effects. It is checked
+    # again afterwards, because another process may have replaced the file in between. Only the stream closes the
+    # descriptor. If other code could close it too, a Ctrl-C at the wrong moment could make both close it. At the second
+    # close, the descriptor's number may already belong to a file that another thread has opened.
     _require_regular_mode(path, os.stat(path).st_mode)
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
     # Opening raises IsADirectoryError for folders.

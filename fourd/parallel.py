@@ -74,8 +74,9 @@ _results: SimpleQueue[Any]
 def _initialize(results: SimpleQueue[Any]) -> None:
     """Set up a process of the pool.
 
-    It ignores Ctrl-C, which the terminal sends to all processes and the parent handles, and exits when its parent
-    exits. OpenCV uses only one thread, because the other cores run the other processes of the pool.
+    The process ignores Ctrl-C: the terminal sends it to all processes, and the parent process handles it for all. The
+    process exits when its parent exits. OpenCV uses only one thread, because the other cores run the other processes of
+    the pool.
     """
     global _results
     cv2.setNumThreads(1)

@@ -1,5 +1,6 @@
-"""Measure the image quality of trained runs: scores of held-out and training views, fractions of the error at the
-contour and elsewhere, specks, jumps and flicker.
+"""Measure the image quality of trained runs: the scores of held-out and training views, the fractions of the error at
+the subject's contour and elsewhere, specks (tiny regions with a large error), jumps (sudden changes between
+neighbouring viewpoints) and flicker.
 
 python tools/quality_table.py RUN [RUN ...]
 python tools/quality_table.py RUN --orbit 240 --pictures pictures/ --json quality.json
@@ -153,8 +154,11 @@ def measure_view(trained: TrainedRun, frame: int, view: int) -> ViewQuality:
 
 
 def measure_flicker(trained: TrainedRun, view: int, frames: int = 8) -> float:
-    """Return the flicker of a held-out view over successive frames, divided by the mean change of the true images. For
-    a single frame, the result is 0."""
+    """Return the flicker of a held-out view over at most ``frames`` successive frames from the middle of the run.
+
+    The flicker is the mean absolute error of the change from one image to the next, divided here by the mean absolute
+    change of the true images. For a single frame, the result is 0.
+    """
     first = max(0, (trained.run.capture.frame_count - frames) // 2)
     shown = range(first, min(first + frames, trained.run.capture.frame_count))
     if len(shown) < 2:
@@ -193,8 +197,8 @@ def mean_of(views: Sequence[ViewQuality]) -> ViewQuality:
 
 
 def markdown(results: dict[str, RunQuality]) -> str:
-    """Return the table. The error columns are fractions of the squared error inside the matte's bounding box, averaged
-    over the held-out views."""
+    """Return the table. The columns from "contour" to "missing" show which fractions of the squared error inside the
+    matte's bounding box fall on certain pixels, such as those near the contour, averaged over the held-out views."""
     heads = ["run", "unseen dB", "SSIM", "FLIP", "seen dB", "contour", "near", "inside", "outside", "excess", "missing"]
     heads += ["specks, per 10,000 pixels", "flicker / true change", "jump", "radii p50 / p90 / p99"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]

@@ -139,7 +139,7 @@ class App:
     def _draw(self, request: RenderRequest) -> None:
         """Draw the scene. If the renderer fails, switch to the cpu renderer.
 
-        If the shade map of the style cannot be read, switch the style off.
+        If the shade map of the style (a PNG with the colours of its light steps) cannot be read, switch the style off.
         """
         state = self._state
         try:
@@ -175,7 +175,7 @@ class App:
 
     @property
     def _is_settling(self) -> bool:
-        """Whether playback is paused while the lines of a style still fade in."""
+        """Whether playback is paused, and more images are needed until the lines of a style have faded in."""
         return self._state.renderer.is_settling and not self._state.session.playback.is_playing
 
     def _title(self) -> str:

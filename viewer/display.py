@@ -35,8 +35,8 @@ class DisplaySettings:
     def scale_points(self, frame: BakedFrame) -> BakedFrame:
         """Return ``frame`` with scaled radii and densities, or ``frame`` itself if both scale factors are 1.
 
-        In a scaled frame, ``background`` is None, because the scaled background points differ from the background that
-        all frames share.
+        The arrays of a scaled frame still contain the background points, but its attribute ``background`` is None. This
+        attribute refers to the background points that all frames share, and the scaled points differ from these.
         """
         if self.point_scale == 1.0 and self.density_scale == 1.0:
             return frame

@@ -145,10 +145,10 @@ struct Line {
 
 FOURD_HD static inline float magnitude(float value) { return value < 0 ? -value : value; }
 
-// Returns 1 plus the index (0 to 2) of the silhouette edge through which the segment from the owner's centre to the
-// other pixel's centre leaves the owner's triangle, or 0 if the segment leaves the triangle at no silhouette edge.
-// Edges at less than 45 degrees to the segment, in pixel coordinates, are ignored, so that every piece of a silhouette
-// is blended along only one axis. `silhouettes` is the result of silhouettes_of().
+// Finds the edge through which the segment from the owner's centre to the other pixel's centre leaves the owner's
+// triangle. Returns 1 plus the index (0 to 2) of this edge if it is a silhouette, and 0 otherwise. Edges at less than
+// 45 degrees to the segment, in pixel coordinates, are ignored, so that every piece of a silhouette is blended along
+// only one axis. `silhouettes` is the result of silhouettes_of().
 FOURD_HD static inline int crossed_edge(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int triangle,
                                         unsigned silhouettes) {
     const int* of = mesh.triangles + 3 * static_cast<std::size_t>(triangle);
@@ -197,8 +197,8 @@ FOURD_HD static inline bool second_is_nearer(const float* first, int one, const 
     return second[2] < first[2] || (second[2] == first[2] && two < one);
 }
 
-// A silhouette edge that crosses a pair: the pixel that changes, the blending weight, and the derivatives of the
-// crossing's position.
+// A silhouette edge that crosses a pair, and how blending changes one pixel of the pair. The position of the crossing
+// is its distance from the owner's centre, in pixels.
 struct Crossing {
     int vertex[2];        // Indices of the ends of the edge.
     Vertex slope[2];      // Derivatives of the crossing's position with respect to x, y and w of each end of the edge.

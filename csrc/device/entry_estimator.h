@@ -1,4 +1,5 @@
-// Predicts the count of (primitive, tile) entries of an image from the counts of earlier images.
+// Predicts the count of entries of an image from the counts of earlier images. The image is divided into tiles, and a
+// tile has one entry for each primitive that covers it.
 #pragma once
 
 #include <algorithm>

@@ -8,7 +8,8 @@
 // Let f_a and f_b be the coordinates of a pixel centre f along and across the direction from one pixel of the pair to
 // the other. N_i is linear in f, so z/w is also a linear function of f, with constant coefficients p_a, p_b and p_w:
 //     D(f) = p_a f_a + p_b f_b + p_w
-// If vertex i moves by (da, db, dz, dw), D(f) changes by
+// Let da, db, dz and dw be small changes of the clip coordinates of vertex i, with da in the direction of f_a and db in
+// that of f_b. They change D(f) by
 //     b_i * (dz - p_a da - p_b db - p_w dw).
 // The crossing is the point of the segment at which both triangles have the same D(f).
 #pragma once

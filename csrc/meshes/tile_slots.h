@@ -1,7 +1,7 @@
-// Assigns indices (slots) to the triangles that are visible in a tile of an image. Also sums, for each mesh vertex, the
-// values that the tiles hold for the corners of their triangles. The backward passes of several operators use this
-// file. Values are added in a fixed order, first over the pixels of a tile, then over the tiles, so the sums do not
-// depend on the number of threads.
+// Helps the backward passes of several operators to compute a gradient for each vertex of a mesh. First, the triangles
+// that are visible in a tile of the image get indices (slots), and each tile sums the gradients of its pixels for the
+// three vertices of each of these triangles. Then these values are summed over the tiles. The order of the additions is
+// fixed, so the sums do not depend on the number of threads.
 #pragma once
 
 #include <cstddef>

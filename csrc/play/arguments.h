@@ -1,4 +1,4 @@
-// Checks and converts the arrays of a baked frame, for the CPU and a GPU.
+// Checks and converts the arrays of a baked frame (play/frame.h), for the CPU and a GPU.
 #pragma once
 
 #include <nanobind/nanobind.h>

@@ -1,4 +1,5 @@
-// The arrays of a baked frame, which are dense and row-major.
+// The arrays of a baked frame: points with all data that is needed to draw them without the trained model. The arrays
+// are dense and row-major.
 #pragma once
 
 #include <cstdint>

@@ -36,7 +36,8 @@ class EmptyTiles {
   private:
     points::Surface surface_{};
     int width_ = 0, height_ = 0;
-    bool is_kept_ = false;  // Whether the surface holds the previous image.
+    // Whether the arrays of the surface hold the last image, which was drawn with the same size and background.
+    bool is_kept_ = false;
     std::vector<std::uint8_t> empty_;
 };
 
@@ -63,7 +64,8 @@ class Player {
     // point.
     template <typename Work>
     void for_visible(std::size_t begin, std::size_t end, const Work& work) const;
-    // Returns the smallest region outside of which the pixel filter changes nothing, according to the bins.
+    // Returns the region of the image outside of which the pixel filter changes nothing: the bounding box of all tiles
+    // that have points, enlarged by one pixel.
     pixel_filter::Region filtered_region(int width, int height) const;
 
     points::Workspace workspace_;

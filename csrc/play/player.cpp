@@ -70,7 +70,8 @@ void Player::draw(const Frame& frame, const points::Settings& settings, const sh
         team, [&](int index) { loops.draw(workspace_.tile(cloud, settings, index), canvas); });
     if (filter_side == 0.0f) return;
     const int width = settings.camera.width, height = settings.camera.height;
-    // If the image was drawn in several bands, the bins have the entries of the last band only.
+    // If the image was drawn in several bands, the bins have the entries of the last band only. filtered_region() would
+    // then miss tiles, so the whole image is filtered.
     const pixel_filter::Region region =
         is_one_band ? filtered_region(width, height) : pixel_filter::Region{0, 0, width, height};
     pixel_filter::filter_in_place(canvas.rgba, width, height, region, filter_side, settings.simd, team,

@@ -64,7 +64,8 @@ FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* 
 }
 
 // How a point covers a pixel. (dx, dy) is the vector from the pixel to the point's centre, in pixels, and `square` is
-// its squared length. The point hits the pixel if alpha is above 0.
+// its squared length. `falloff` is 1 - square * inverse_square, and alpha is density * falloff. The point hits the
+// pixel if alpha is above 0.
 struct PixelCoverage {
     float dx, dy, square, falloff, alpha;
 };

@@ -15,8 +15,9 @@ struct Corner {
     double x, y, w;
 };
 
-// Returns the distance of a corner from a clipping plane. The distance is positive inside the frustum. If the distances
-// of a corner from all four planes are positive, its w is at least 0.
+// Returns the distance of a corner from a clipping plane. The distance is positive inside the frustum and 0 on its
+// boundary. The distances from two opposite planes add up to 2 * guard * w, so w is at least 0 where both distances are
+// at least 0.
 FOURD_HD static inline double clip_distance(const Screen& screen, int plane, const Corner& corner) {
     const double guard = plane < 2 ? screen.guard_x : screen.guard_y;
     const double coordinate = plane < 2 ? corner.x : corner.y;
@@ -70,8 +71,9 @@ FOURD_HD static inline bool all_inside(const Snapped& a, const Snapped& b, const
     return a.state == VertexState::inside && b.state == VertexState::inside && c.state == VertexState::inside;
 }
 
-// Sets the reference pixel of a triangle's Planes (maths.h), at which the functions have the values c. It is the centre
-// of the image for a clipped triangle, and the first pixel of the bounding box for any other triangle.
+// Sets the reference pixel of a triangle's Planes (maths.h). These are linear functions over the image, stored as their
+// values at the reference pixel and their slopes. The reference pixel is the centre of the image for a clipped
+// triangle, and the first pixel of the bounding box for any other triangle.
 FOURD_HD static inline void set_reference(const Screen& screen, bool is_clipped, const Bounds& bounds, Piece* piece) {
     piece->reference_x = static_cast<std::uint16_t>(is_clipped ? screen.width / 2 : bounds.left);
     piece->reference_y = static_cast<std::uint16_t>(is_clipped ? screen.height / 2 : bounds.top);

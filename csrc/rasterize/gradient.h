@@ -6,9 +6,9 @@
 // with respect to b_x adds -(b_x)_k M^-T g to the gradient with respect to p_k. The same holds for b_y, the derivative
 // along y.
 //
-// Below, g0 and g1 are the gradients with respect to b_0 and b_1, and gs is the gradient with respect to s = 1/w, which
-// is the sum of all b_k. The struct Planes stores b multiplied by a scale. The gradients g0, g1 and gs are divided by
-// this scale, so that their products with elements of b do not depend on it.
+// The code replaces b_2 by the sum s = b_0 + b_1 + b_2 = 1/w. Below, g0, g1 and gs are the gradients with respect to
+// b_0, b_1 and s. The struct Planes stores b_0, b_1 and s multiplied by a factor (Planes::scale). This divides the
+// gradients by the same factor, so the products of gradients and values do not depend on it.
 #pragma once
 
 #include "rasterize/maths.h"

@@ -162,10 +162,12 @@ FOURD_HD static inline double device_coordinate(int pixel, int side) {
     return static_cast<double>(2 * pixel + 1) / static_cast<double>(side) - 1.0;
 }
 
-// Four linear functions over the image, in this order: s * w_0 / w, s * w_1 / w, s / w and z/w. Here w_0 and w_1 are
-// the barycentric weights of vertices 0 and 1, and z and w are interpolated clip coordinates. The scale s is the
-// largest |w| of the vertices, which makes the functions independent of the unit of w. The value of a function at a
-// pixel is (c + y * dy) + x * dx, where (dx, dy) is the vector from the reference pixel to the pixel.
+// Four linear functions over the image, in this order:
+//     scale * u / w, scale * v / w, scale / w and z / w.
+// Here u and v are the barycentric weights of vertices 0 and 1, and z and w are interpolated clip coordinates. `scale`
+// is the largest |w| of the vertices, so scaling all clip coordinates by a common factor does not change the functions.
+// The value of a function at a pixel is (c + y * dy) + x * dx, where (dx, dy) is the vector from the reference pixel to
+// the pixel.
 struct Planes {
     double scale;
     float c[kPlanes], x[kPlanes], y[kPlanes];

@@ -30,10 +30,11 @@ struct Query {
     FOURD_HD const float* pos_of(std::size_t image) const { return pos + 4 * image * image_stride; }
 };
 
-// Writes u, v, z/w and the encoded id of the nearest triangle to `rast` (images, height, width, 4). Writes du/dX,
-// du/dY, dv/dX and dv/dY to `rast_db` (images, height, width, 4), which may be null. If `previous` is not null, it must
-// be the `rast` of a previous call, and each pixel gets the next triangle behind the one that it has in `previous`.
-// Triangles with equal z/w are ordered by id.
+// Writes u, v, z/w and the encoded id of the nearest triangle to `rast` (images, height, width, 4). Writes the
+// derivatives du/dX, du/dY, dv/dX and dv/dY to `rast_db` (images, height, width, 4), which may be null. X and Y are the
+// pixel coordinates along a row and a column. If `previous` is not null, it must be the `rast` of a previous call, and
+// each pixel gets the next triangle behind the one that it has in `previous`. Triangles with equal z/w are ordered by
+// id.
 void rasterize(const Query& query, const float* previous, float* rast, float* rast_db);
 
 // Overwrites grad_pos with the gradient of the loss with respect to pos. grad_rast and grad_db (images, height, width,

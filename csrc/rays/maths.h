@@ -39,9 +39,11 @@ struct Ray {
     int x, y, z;        // A permutation of the axes. The direction has its largest absolute coordinate along axis z.
     float shear_x, shear_y, shear_z;
     float inverse[3];   // Reciprocals of the coordinates of the scaled direction.
-    // The ray meets the plane in which coordinate i equals p at t' = (p - origin[i]) * inverse[i]. A padding on both
-    // sides turns the plane into a slab, which the ray enters at t' = p * inverse[i] - enter[i] and leaves at t' = p *
-    // inverse[i] - leave[i].
+    // The ray meets the plane in which coordinate i equals p at t' = (p - origin[i]) * inverse[i]. With a padding `pad`
+    // on both sides, the plane becomes a slab. The ray enters the slab at t' = p * inverse[i] - enter[i] and leaves it
+    // at t' = p * inverse[i] - leave[i], where
+    //     enter[i] = origin[i] * inverse[i] + pad * |inverse[i]|,
+    //     leave[i] = origin[i] * inverse[i] - pad * |inverse[i]|.
     float enter[3], leave[3];
     float scale, inverse_scale;
     float t_min, t_max;
@@ -124,8 +126,8 @@ struct Hit {
 };
 
 // The barycentric weights of the corners, not normalised. If a weight is 0 in float, all three weights are computed
-// again in double, where products of floats are exact, so that two triangles with a common edge agree on which side of
-// the edge the ray passes.
+// again in double. In double, the products of floats are exact, so two triangles with a common edge agree on which side
+// of the edge the ray passes.
 struct Weights {
     float a, b, c;
 };

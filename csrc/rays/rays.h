@@ -115,7 +115,8 @@ struct HitGradients {
     const float *t, *u, *v;
     const std::int32_t* triangle;
     const float *to_t, *to_u, *to_v;     // Gradients with respect to t, u and v, of shape (count, layers).
-    float *xyz, *to_origins, *to_directions;  // Output arrays. Each gradient has the shape of its input.
+    // Outputs: the gradients with respect to Mesh::xyz, `origins` and `directions`, in the shapes of these arrays.
+    float *xyz, *to_origins, *to_directions;
     int threads;
 };
 

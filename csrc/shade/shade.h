@@ -1,5 +1,6 @@
-// Computes the colours of baked points as seen from a camera. A colour is a blend of a few source views plus spherical
-// harmonics. Callers check shapes. Every pointer points to a dense row-major array.
+// Computes the colours of points as seen from a camera. A colour is a blend of a few source views plus spherical
+// harmonics (SH). The points are baked: their colours in the source views, blend weights and SH coefficients are stored
+// with them. Callers check shapes. Every pointer points to a dense row-major array.
 #pragma once
 
 #include <cstddef>

@@ -13,9 +13,9 @@ constexpr int kTones = 256;       // Number of columns of the shade table.
 constexpr int kMaxRows = 64;      // Maximum number of rows of the shade table.
 constexpr int kMaxThickness = 8;  // Maximum distance, in pixels, between adjacent taps (samples) of a line filter.
 
-// Returns half the side, in pixels, of the largest square that decides whether a line is a speck. The result is at most
-// 32. Specks are very short lines, and are not drawn: the line at a pixel is drawn only if each square around the pixel
-// with a side of 2, 4, 8, ... pixels, up to the largest square, has a line on its border.
+// Specks, which are very short lines, are not drawn. The line at a pixel is drawn only if every square around the pixel
+// with a side of 2, 4, 8, ..., 2 * reach pixels has a line on its border. Returns `reach`, half the side of the largest
+// square, in pixels. It is at most 32.
 constexpr int speck_reach(int thickness) {
     int reach = 8;
     while (2 * reach <= 4 * (thickness + 1)) reach *= 2;

@@ -54,7 +54,7 @@ inline void draw_surfaces(Random& random, play::Player& player, play::Frame fram
     }
 }
 
-// An image of random bytes, which may be empty, and a random weight.
+// An image of random bytes, which may be empty, and a random weight `side` of the pixel filter.
 struct FilterInput {
     int width, height;
     float side;

@@ -8,7 +8,8 @@ namespace fourd::texture {
 
 // The axes of a face. A ray from the cube's centre in the direction xyz = (x, y, z) meets the face at (s, t):
 //     s = 0.5 * (a / m + 1), t = 0.5 * (b / m + 1)
-// Here a = s_sign * xyz[s_axis], b = t_sign * xyz[t_axis] and m = |xyz[face / 2]|.
+// Here a = s_sign * xyz[s_axis], b = t_sign * xyz[t_axis] and m = m_sign * xyz[m_axis], which is positive. m_axis is
+// the axis of the face's normal.
 struct CubeFace {
     int s_axis, t_axis, m_axis;
     int s_sign, t_sign, m_sign;
@@ -63,7 +64,8 @@ FOURD_HD FOURD_INLINE Footprint cube_footprint(const CubePosition& at, const flo
     return {limited_derivative(d[0]), limited_derivative(d[1]), limited_derivative(d[2]), limited_derivative(d[3])};
 }
 
-// Adds to grad_uv[3] the gradient with respect to the direction, from the gradient with respect to s and t.
+// The backward pass of cube_position. Adds the gradient with respect to the direction to grad_uv (3,). grad_s and
+// grad_t are the gradients with respect to s and t.
 FOURD_HD FOURD_INLINE void cube_position_backward(const CubePosition& at, float grad_s, float grad_t, float* grad_uv) {
     if (!at.is_valid) return;
     const CubeFace f = cube_face(at.face);
@@ -73,8 +75,8 @@ FOURD_HD FOURD_INLINE void cube_position_backward(const CubePosition& at, float 
     grad_uv[f.m_axis] -= static_cast<float>(f.m_sign) * scale * (grad_s * (at.a / at.m) + grad_t * (at.b / at.m));
 }
 
-// The backward pass of cube_footprint. Adds to grad_uv[3] the gradient with respect to the direction, and to
-// grad_uv_da[6] the gradient with respect to uv_da.
+// The backward pass of cube_footprint. Adds the gradient with respect to the direction to grad_uv (3,), and the
+// gradient with respect to uv_da to grad_uv_da (6,).
 FOURD_HD FOURD_INLINE void cube_footprint_backward(const CubePosition& at, const float* uv_da, int size,
                                                    const Footprint& gradient, float* grad_uv, float* grad_uv_da) {
     if (!at.is_valid) return;

@@ -53,7 +53,7 @@ struct Footprint {
 
 // Derivatives are clamped to +-kMaxDerivative, so that their fourth powers are finite. NaN stays NaN.
 constexpr float kMaxDerivative = 1e9f;
-// A footprint whose longer axis has a squared length below kMinSquare counts as a point.
+// A footprint counts as a point if its LongerAxis::square is below kMinSquare.
 constexpr float kMinSquare = 1e-36f;
 
 FOURD_HD FOURD_INLINE float limited_derivative(float value) {
@@ -63,8 +63,8 @@ FOURD_HD FOURD_INLINE float limited_derivative(float value) {
 
 // The longer axis of a footprint. A footprint maps a circle with a radius of one pixel to an ellipse in the texture.
 // With the Jacobian matrix J = (s_x, s_y; t_x, t_y), the symmetric matrix (a, c; c, b) is J^T J. Its larger eigenvalue
-// `square` is the squared length of the ellipse's longer semi-axis. `root` is half the difference of the two
-// eigenvalues.
+// `square` is the squared length of the ellipse's longer semi-axis, called the longer axis below. `root` is half the
+// difference of the two eigenvalues.
 struct LongerAxis {
     float a, b, c, root, square;
 };
@@ -90,8 +90,8 @@ FOURD_HD FOURD_INLINE LongerAxis longer_axis(const Footprint& d) {
     return out;
 }
 
-// Returns the mip level of a footprint before the bias is added: the base-2 logarithm of the length of the footprint's
-// longer axis. A footprint that is a point gives a very negative level, and NaN gives NaN.
+// Returns the mip level of a footprint before the bias is added: the base-2 logarithm of the length of the longer axis,
+// 0.5 * log2(square). A footprint that is a point gives a very negative level, and NaN gives NaN.
 FOURD_HD FOURD_INLINE float level_of(const Footprint& d) {
     const float square = longer_axis(d).square;
     const float level = square < kMinSquare ? -1e30f : 0.5f * log2_of(square);

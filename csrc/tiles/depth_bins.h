@@ -31,9 +31,9 @@ class DepthBins {
     void prepare(std::size_t count, int width, int height, const Project& project, Team& team);
 
     // Bins the primitives into a band of tile rows that starts at row `top`, and returns the first row after the band.
-    // The band has at least one row, and gets more rows as long as it has at most `max_entries` entries. Until the next
-    // call, only the rows of the band have entries. Bands are needed because the entries of large primitives in the
-    // whole image could exceed the available memory.
+    // The band has as many rows as possible with at most `max_entries` entries in total, but at least one row. Until
+    // the next call, only the rows of the band have entries. Bands are needed because the entries of large primitives
+    // in the whole image could exceed the available memory.
     int fill_band(int top, std::size_t max_entries, Team& team);
 
     // Projects and sorts the primitives, without binning them. order() then returns the sorted items.
@@ -51,8 +51,8 @@ class DepthBins {
     std::size_t bytes() const;  // Size of the memory that is kept between images.
 
   private:
-    // A span of consecutive items, which one thread processes in each pass. Spans are merged in order, so the result
-    // does not depend on the number of spans.
+    // A span of consecutive items, which one thread processes in a pass of the radix sort or when entries are counted
+    // and written. Spans are merged in order, so the result does not depend on the number of spans.
     struct Run {
         std::size_t begin, end;
     };

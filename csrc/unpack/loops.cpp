@@ -121,9 +121,10 @@ void view_of_all(const Views& from, std::size_t number, std::size_t first, std::
     }
 }
 
-// Writes the weights and the colours of `count` points in one view. `next` is the index of the first colour to read.
-// Returns the index of the first colour that was not read. For points without a colour, the function also reads levels,
-// which are then masked to 0, because a branch would be slower: the processor could not predict it.
+// Writes the weights and the colours of `count` points in one view. The levels of the view contain only the points that
+// have a colour. `next` is the index, in these levels, of the first point of the batch that has a colour. Returns this
+// index for the next batch. For points without a colour, the function also reads levels, which are then masked to 0,
+// because a branch would be slower: the processor could not predict it.
 std::size_t view_of_some(const Views& from, std::size_t number, std::size_t first, std::size_t count, std::size_t next,
                          std::uint16_t* out_weights, std::uint8_t* out_rgb) {
     const View& of = from.views[number];

@@ -16,15 +16,15 @@ Array = NDArray[np.float64]
 
 CELL_DEG = 1.0
 ROWS_PER_DEGREE = 4
-"""Number of rows per degree of elevation in a fine grid. Fine rows are needed because, as seen from a low centre, the
-far half of a floor spans only a few degrees."""
+"""Number of rows per degree of elevation in a fine grid. Fine rows are needed because the far half of a floor spans
+only a few degrees if the grid's centre is low above the floor."""
 FAR_QUANTILE = 0.8
 """A cell's distance is this quantile of the distances of its points. A high quantile selects the farthest surface and
 ignores objects in front of it."""
 
 DISTANCE_WEIGHT = 100.0
-"""Weight of horizontal neighbours in the extrapolation of distances, relative to the weight 1 of vertical neighbours. A
-large weight keeps floors horizontal and walls vertical."""
+"""Weight of horizontal neighbours in the extrapolation of distances, relative to the weight 1 of vertical neighbours.
+With a large weight, distances are continued along the rows, so floors stay horizontal and walls vertical."""
 
 
 @dataclass(frozen=True, eq=False)

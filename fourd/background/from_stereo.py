@@ -17,7 +17,8 @@ from fourd.formats.ply import ColouredPoints
 from fourd.progress import Log, Track, untracked
 
 MIN_SHARE = 0.1
-"""Minimum fraction of the depth maps' visible cells that have a measured depth."""
+"""Minimum fraction of depth-map cells with a measured depth, among all cells outside the plates' holes. If the fraction
+is smaller, an error is raised."""
 
 
 def seed_from_stereo(
@@ -34,8 +35,8 @@ def seed_from_stereo(
 
     COLMAP matches features of the plates along epipolar lines and triangulates them with fixed cameras. The depth map
     of each plate is initialised from the triangulated features and from dominant planes that are fitted to these
-    features. PatchMatch optimises the initialised depth map. A depth is kept if another plate confirms it and no plate
-    contradicts it. The same input and seed give the same points.
+    features. PatchMatch optimises the initialised depth map. A depth is kept if more plates confirm it than contradict
+    it. The same input and seed give the same points.
 
     Args:
         plates: clean plates of at least two cameras.

@@ -1,5 +1,5 @@
-"""Estimate colours that depend only on the height above the floor, such as those of a wall's rows of bricks, boards or
-shelves. Such colours can be extrapolated into directions that no camera sees."""
+"""Estimate a profile: colours that depend only on the height above the floor, such as those of a wall's rows of bricks,
+boards or shelves. A profile can be extrapolated into directions that no camera sees."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 BIN_DEG = 0.5
-"""Height of a profile bin, given as the angle that it spans at the median distance of the unknown cells."""
+"""Height of one bin of the profile, given as an angle. A bin spans this angle at the median distance of the cells whose
+colours are to be extrapolated."""
 SMOOTHING_DEG = (4.0, 10.0)
 """Standard deviations, in elevation and azimuth, of the Gaussian filter that separates the profile from slow colour
 changes."""
@@ -28,8 +29,8 @@ def height_profile(grid: DirectionGrid, known: Bools, inverse_distance: Array, r
 
     The smoothed colours of known cells are subtracted from their colours. The profile at a height is the mean of these
     differences over all azimuth sectors, multiplied by the positive-part James-Stein factor. The factor is near 1 if
-    the sectors agree, and 0 if the mean is not larger than its standard error, so that the profile of surfaces without
-    horizontal structure is near 0.
+    the sectors agree, and 0 if the mean is not larger than its standard error. For surfaces without horizontal stripes,
+    the profile is therefore near 0.
 
     Args:
         grid: the grid of directions.
@@ -38,7 +39,8 @@ def height_profile(grid: DirectionGrid, known: Bools, inverse_distance: Array, r
         rgb: (cells, 3) colours in [0, 255]. The colours of unknown cells are ignored.
 
     Returns:
-        (cells, 3) colour differences for all cells, to be added to slowly changing colours.
+        (cells, 3) colour difference at the height of each cell, known or unknown. The caller subtracts it from the
+        known colours, extrapolates the remaining colours, and adds it to the result.
     """
     if known.all() or not known.any():
         return np.zeros_like(rgb)

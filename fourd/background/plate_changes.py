@@ -1,4 +1,5 @@
-"""Detect backgrounds that are not static, by comparing frames with clean plates outside the mattes."""
+"""Detect backgrounds that are not static. In the background, which is the area outside the mattes, frames are compared
+with clean plates."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ MARGIN = 1 / 50
 """Width of a band around the matte in which pixels are not compared, because it contains soft edges and shadows. The
 width is a fraction of the image's longer side."""
 MAX_CHANGED_SHARE = 0.02
-"""Maximum fraction of the visible background that may differ from the plate because of noise."""
+"""Maximum fraction of the visible background that differs from the plate if the background is static. Noise causes such
+differences."""
 
 
 def find_changing_backgrounds(

@@ -183,7 +183,7 @@ def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera]
 def _undistort(
     capture: Capture, name: str, lens: Camera, path: Path, rgb: Picture, matte: Picture
 ) -> tuple[Picture, Picture]:
-    """Undistort a plate and its matte with the same code as the capture's frames."""
+    """Undistort a plate and its opacity mask ``matte``, with the same code as the capture's frames and mattes."""
     footage = Footage(_Still(path, rgb), Mattes(_Still(path, matte), is_generated=False), (lens.width, lens.height))
     alone = Capture(capture.path, [name], [lens], [footage], ["plate"], [0], 1, scale=1.0, cache_mb=0)
     return alone.image(0, 0), alone.mask(0, 0)

@@ -1,5 +1,8 @@
 """The background's shell: points in the directions that no clean plate shows, which would otherwise be empty in
-rendered views."""
+rendered views.
+
+Directions are divided into cells. A known cell contains background points that were computed from the plates.
+"""
 
 from __future__ import annotations
 
@@ -32,17 +35,18 @@ is large because floors, walls and skies vary less horizontally than vertically.
 SMALL_GAP_DEG = 1.5
 """Gaps of up to this many degrees are closed, because they are common between neighbouring points of a surface."""
 RIM_FACTOR = 0.985
-"""Factor that multiplies the inverse distances of the shell's rim, which consists of shell points in known cells beside
-unknown cells. It places the rim slightly behind the known points."""
+"""Factor that multiplies the inverse distances of the shell's rim, to place the rim slightly behind the known points.
+The rim consists of shell points in those known cells that are next to unknown cells."""
 NEAR_GAP_DEG = 15.0
 """Unknown cells at most this many degrees from the nearest known cell have the full density of shell points. Of the
 cells farther away, only one in sixteen gets a point."""
 MIN_DETAIL = 8.0
 """A shell point near known cells is split into four points if the extrapolated colours of the upper and the lower half
-of its cell, or of an adjacent cell, differ by at least this many grey levels. Adjacent cells are included because large
-discs in these cells would otherwise cover the small discs of the split point."""
+of its cell, or of an adjacent cell, differ by at least this many grey levels. Adjacent cells are included because
+points are drawn as discs: the large disc of an adjacent point that is not split would cover the four small discs."""
 OCCLUSION_RATIO = 0.9
-"""Ratio of a shell point's depth to a known point's depth, below which the shell point occludes the known point."""
+"""A shell point occludes a known point that projects to about the same position if its depth is less than this multiple
+of the known point's depth."""
 DEPTH_CELL_PX = 6.0
 
 
@@ -73,8 +77,8 @@ def build_shell(
     # points, so that no viewpoint shows a slit between the shell and the known points.
     inverse = np.where(is_rim, RIM_FACTOR, 1) * inverse
     xyz = centre + directions / inverse[:, None]
-    # A shell point is dropped if it is closer to the centre than the median camera. The space closer than that is
-    # visible to some cameras, so a gap there means that the points are sparse, not that a direction is unseen.
+    # Shell points that are closer to the centre than the median camera are dropped. The cameras see the space around
+    # the centre, so a gap between points there means that the points are sparse, not that no camera sees the gap.
     reach = float(np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]))
     kept = (inverse * reach < 1) & ~_occludes(xyz, points.xyz.astype(np.float64), cameras)
     colours = np.clip(np.rint(rgb[kept]), 0, 255).astype(np.uint8)
@@ -175,8 +179,9 @@ def _select_cells(sphere: DirectionGrid, known: Bools) -> tuple[NDArray[np.intp]
 
 
 def _close_gaps(sphere: DirectionGrid, known: Bools) -> tuple[Bools, Array]:
-    """Close small gaps between known cells. Returns a mask (rows, columns) of the known cells after closing, and each
-    cell's angle in degrees to the nearest cell that was known before."""
+    """Close small gaps between known cells. Returns a mask (rows, columns) of the known cells and the closed gaps, and
+    the angle in degrees (rows, columns) from each cell to the nearest known cell. Closed gaps do not count for the
+    angle."""
     known = _dilate_rows(sphere, known)
     # Three copies of the grid side by side make the distance transform periodic in azimuth.
     tiled = np.pad(np.tile(known, (1, 3)), ((sphere.rows, sphere.rows), (0, 0)))

@@ -20,8 +20,8 @@ Values = Literal["any", "finite", "nonnegative", "unit"]
 """Valid values of an attribute. "unit" means [0, 1]. Only "any" permits NaN and infinity."""
 
 Combine = Literal["concatenate", "cast_shadow"]
-"""How the background's array is appended to the array of the dynamic points. "concatenate" appends it unchanged;
-"cast_shadow" first multiplies it by the frame's shadow factors."""
+"""How the array of the scene's static background points is appended to the array of a frame's dynamic points.
+"concatenate" appends it unchanged; "cast_shadow" first multiplies it by the frame's shadow factors."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,8 @@ class Attribute:
         shape: size of each dimension of the array. "points" stands for the number of points and "views" for the number
             of source views.
         values: the valid values, see :data:`Values`.
-        combine: how the background's array is appended to the array of the dynamic points, see :data:`Combine`.
+        combine: how the array of the static background points is appended to that of the dynamic points, see
+            :data:`Combine`.
         is_optional: whether a scene may lack this attribute.
     """
 

@@ -68,7 +68,7 @@ def bake_run(
             if this rate is not known.
 
     Raises:
-        UserError: if the model's blend weights depend on the viewer, or if the file cannot be written.
+        UserError: if the model's blend weights depend on the viewing camera, or if the file cannot be written.
     """
     run = trained.run
     require_bakeable(run)
@@ -88,7 +88,7 @@ def bake_run(
 
 
 def require_bakeable(run: Run) -> None:
-    """Raise UserError if the model's blend weights depend on the viewer."""
+    """Raise UserError if the model's blend weights depend on the viewing camera."""
     if run.config.train.model.continuous:
         raise UserError(
             f"{run.folder}: expected blend weights that do not depend on the viewer, got model.continuous: true; "
@@ -135,7 +135,7 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float | 
 
 
 def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFrame:
-    """Evaluate the properties of one frame's dynamic points that do not depend on the viewing camera.
+    """Evaluate one frame's dynamic points. The result has no property that depends on the viewing camera.
 
     ``sources`` are the camera indices from :func:`select_baked_views`.
     """

@@ -96,8 +96,9 @@ class ColourFit:
 def viewpoints(manifest: SceneManifest) -> tuple[Camera, ...]:
     """Return the cameras for which the colours of a scene are evaluated.
 
-    These are the cameras of the source views, or all cameras if the scene has no source views, and cameras halfway
-    between neighbouring ones. For a scene without cameras, they are cameras on a sphere around the scene.
+    These are the cameras of the source views, and cameras halfway between neighbouring ones. If the scene has no source
+    views, all its cameras take the place of the source views. For a scene without cameras, the result is cameras on a
+    sphere around the scene.
     """
     cameras = manifest.source_cameras or manifest.cameras
     if cameras:

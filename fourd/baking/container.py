@@ -3,9 +3,9 @@
 The archive of a full scene (a scene with a static background) also contains each attribute of the background, once for
 all frames, and can contain one shadow per frame.
 
-Members are stored uncompressed, so that one frame can be read with a seek or an HTTP range request. The reader treats
-the file as untrusted: it compares the members' sizes with the manifest before it allocates memory. It skips members
-that it does not know.
+Members are stored without ZIP compression, so that one frame can be read with a seek or an HTTP range request. (In
+packed scenes, the content of a member is compressed before it is stored.) The reader treats the file as untrusted: it
+compares the members' sizes with the manifest before it allocates memory. It skips members that it does not know.
 """
 
 from __future__ import annotations
@@ -205,8 +205,8 @@ class SceneReader:
         manifest: the scene's manifest.
 
     Raises:
-        UserError: if the file is truncated, is not a scene, has a newer format or is inconsistent. An invalid file
-            raises it when it is opened, and a damaged member of the ZIP when it is read. The message is one line that
+        UserError: if the file is truncated, is not a scene, has a newer format or is inconsistent. The error is raised
+            when an invalid file is opened, or when a damaged member of the ZIP is read. The message is one line that
             names the file and says how to solve the problem.
     """
 
@@ -299,7 +299,8 @@ class SceneReader:
         return arrays
 
     def _unpack(self, folder: str, points: int, encoding: CloudEncoding) -> dict[str, NDArray[Any]]:
-        """Decode all arrays of a packed cloud of points from the files in ``folder`` inside the ZIP."""
+        """Decode all arrays of a compressed point cloud (a frame or the background) from the files in ``folder`` inside
+        the ZIP."""
         views = self.manifest.view_count
         members = {name: self.read_member(f"{folder}/{name}") for name in packed_names(self.manifest)}
         with self._decoding(folder):

@@ -17,7 +17,7 @@ from fourd.cameras import Camera
 
 
 def missing_peers() -> list[str]:
-    """Return the names of the libraries for the CPU comparisons that are not installed."""
+    """Return the names of all libraries that are needed for the comparisons on the CPU but are not installed."""
     return [name for name in ("pytorch3d", "embreex") if find_spec(name) is None]
 
 

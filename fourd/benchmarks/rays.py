@@ -32,8 +32,8 @@ def random_rays(count: int) -> tuple[Tensor, Tensor]:
 
 
 def ray_works(count: int, side: int) -> Iterator[tuple[str, Work, dict[str, Work]]]:
-    """Yield benchmarks with about ``count`` triangles: building a BVH, refitting it, and tracing rays. Each is a name,
-    the function to time, and other implementations of the computation by name."""
+    """Yield benchmarks with about ``count`` triangles: building a BVH, refitting it, and tracing rays. Each benchmark
+    is a tuple of its name, the function to time, and a dictionary of other implementations of the same computation."""
     xyz, tri = make_mesh(count)
     bvh = Bvh.build(xyz, tri)
     yield f"build a BVH over {count:,} triangles", lambda: Bvh.build(xyz, tri), {}

@@ -103,7 +103,7 @@ def calibrate_rig(source: Path, out: Path, settings: CalibrationSettings, *, log
     fit = fit_rig(rig, track)
     moved = fit if settings.floor_frame is None else _lay_on_floor(fit, views, settings)
     reports = report_cameras(moved, frames.names)
-    # The common clock has the lowest frame rate of all videos.
+    # The frames of all videos are put on a common clock, which has the lowest frame rate of the videos.
     fps = min((float(index.fps) for index in indices.values()), default=None)
     _write(out, source, settings, frames.names, moved, reports, fps)
     _log_results(moved, reports, log, warn)

@@ -49,9 +49,9 @@ Array = NDArray[np.float64]
 HELD_OUT_EVERY = 5
 """One of every HELD_OUT_EVERY frames is held out."""
 MIN_LENS_VIEWS = 5
-"""Minimum number of views of a camera whose lens is estimated."""
+"""Minimum number of views (images that show the board) from a camera whose lens is estimated."""
 MIN_POSE_VIEWS = 3
-"""Minimum number of views of a camera whose lens is known."""
+"""Minimum number of views from a camera whose lens is known."""
 MIN_FITTED_VIEWS = 8
 """A frame is held out only if each camera that sees the board in it keeps at least this number of views in the fit."""
 MIN_FITTED_PAIRS = 4
@@ -91,8 +91,8 @@ class RigFit:
         cameras: C cameras in the coordinates of the first camera, in metres.
         frames: F frame numbers, in ascending order.
         boards: F poses from board to world.
-        held_out: (F,) whether the first fit leaves the frame out. The errors come from the first fit; the last uses all
-            frames.
+        held_out: (F,) whether the frame is held out. The rig is fitted first without the held-out frames, and then to
+            all frames. ``errors`` comes from the first fit, and the other results come from the second.
         corners: the corners of all frames.
         errors: (N,) reprojection errors of the corners in pixels, with the cameras of the first fit and the best pose
             of the board in each frame.

@@ -1,9 +1,9 @@
 """Sub-pixel positions of a board's inner corners, as saddle points of the brightness.
 
-A quadratic polynomial is fitted to the brightness around an inner corner. The saddle point of this polynomial is the
-position of the corner (Lucchese and Mitra, Using saddle points for subpixel feature detection in camera calibration
-targets, APCCAS 2002). The patch is aligned with the board's axes and ends before the nearest marker, so that markers do
-not shift the corner.
+A quadratic polynomial is fitted to the brightness in a patch around an inner corner. The saddle point of the polynomial
+is the position of the corner (Lucchese and Mitra, Using saddle points for subpixel feature detection in camera
+calibration targets, APCCAS 2002). The patch is aligned with the board's axes and ends before the nearest marker, so
+that markers do not shift the corner.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ MIN_HALF_PX = 2.0
 """Minimum distance from the centre of the patch to its edge, in pixels. Smaller patches have too few pixels."""
 MAX_STEPS = 8
 MAX_STEP = 0.5
-"""Longest step, as a fraction of half the side length of the patch."""
+"""Maximum distance, along each axis of the patch, by which one iteration moves a corner. It is given as a fraction of
+half the patch's side length."""
 MAX_MOVE_PX = 3.0
 """Maximum distance by which a corner may move. Beyond this distance, the search has found another saddle point."""
 CONVERGED_PX = 1e-3

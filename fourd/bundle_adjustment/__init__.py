@@ -1,1 +1,1 @@
-"""Bundle adjustment of given cameras from feature matches between images, which runs before the scene is carved."""
+"""Bundle adjustment of given cameras with feature matches, which runs before the scene's visual hull is carved."""

@@ -1,4 +1,5 @@
-"""Detection of two calibration errors from the images: resized images, and mirrored principal points."""
+"""Detection of two calibration errors from the images: images that were resized after the calibration, and principal
+points that are mirrored about the image centre."""
 
 from __future__ import annotations
 

@@ -36,11 +36,11 @@ class Board:
 def board_pose(picture: Picture, camera: Camera, board: Board) -> Camera:
     """Return the camera with its pose relative to a chessboard, in metres.
 
-    The origin is at one of the four corners of the grid of inner corners. The x axis points along the ``columns``
-    corners, y along the ``rows`` corners, and z from the board towards the camera. The square that touches the origin
-    on the +x and +y side is black. If ``columns + rows`` is odd, the origin is the same in all views. If ``columns +
-    rows`` is even, the board looks the same after a rotation by 180 degrees, so the origin may be at either of two
-    opposite corners.
+    The origin is at one of the four outermost inner corners. The x axis points along the side with ``columns`` inner
+    corners, the y axis along the side with ``rows`` inner corners, and the z axis from the board towards the camera.
+    The square that touches the origin on the +x and +y side is black. If ``columns + rows`` is odd, the origin is the
+    same in all views. If ``columns + rows`` is even, the board looks the same after a rotation by 180 degrees, so the
+    origin may be at either of two opposite corners.
 
     Args:
         picture: distorted RGB image (H, W, 3) uint8.

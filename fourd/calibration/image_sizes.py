@@ -1,4 +1,4 @@
-"""Hypotheses of how images were resized after the calibration, and their comparison with the images."""
+"""Hypotheses of how images were resized after the calibration, and choice of the hypothesis that fits the images."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ BLACK_LEVEL = 40
 """Brightness limit (0 to 255) of black borders. In a border row or column, 95% of the pixels are below this limit."""
 CONTENT_ROWS = 4
 MAX_BORDER_ERROR_PX = 0.75
-"""Maximum difference in pixels between a measured border and the border that a hypothesis predicts."""
+"""Maximum difference in pixels between the measured width of a black border and the width predicted by a hypothesis."""
 MAX_GOOD_PX = 3.0
 MIN_LEAD = 1.5
-"""The evidence is clear if the second smallest residual of all hypotheses is at least this multiple of the smallest
-residual."""
+"""The evidence for the hypothesis with the smallest residual is clear if the second smallest residual is at least this
+multiple of the smallest one."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,8 @@ class Borders:
     bottom: float
 
     def max_difference(self, other: Borders) -> float:
-        """Return the largest difference in pixels between the two images' borders on the same side."""
+        """Compare the border widths of two images on each of the four sides. Return the largest difference in
+        pixels."""
         pairs = ((self.left, other.left), (self.top, other.top), (self.right, other.right), (self.bottom, other.bottom))
         return max(abs(a - b) for a, b in pairs)
 
@@ -49,8 +50,9 @@ class SizeChoice:
         name: the best hypothesis.
         cameras: the cameras of all images under the best hypothesis.
         residuals: epipolar residuals of each hypothesis.
-        means_px: for each hypothesis, the mean of the median residuals of all camera pairs that contain a resized
-            camera. The value is None if no such pair has enough matches.
+        means_px: for each hypothesis, the mean residual of the camera pairs in which the images of at least one camera
+            were resized. The residual of a pair is the median over its matches. The mean is None if no such pair has
+            enough matches.
         borders_px: for each hypothesis, the largest difference in pixels between measured and predicted borders, or
             None if the borders were not measured.
         is_clear: whether the evidence is sufficient to choose a hypothesis without asking the user.
@@ -72,9 +74,10 @@ def size_hypotheses(camera: Camera, width: int, height: int) -> dict[str, Camera
 
     ``camera`` is the camera before resizing.
 
-    If the sizes are equal, the only hypothesis is ``unchanged``. Otherwise the names are:
-    - ``stretched``: width and height are scaled by different factors; the name is ``scaled`` if one factor gives both
-      sizes to within half a pixel;
+    If the new size equals the camera's size, the only hypothesis is ``unchanged``. Otherwise the names are:
+    - ``scaled``: width and height are scaled by the same factor. It replaces the next three hypotheses if one factor
+      gives both the new width and the new height, to within half a pixel;
+    - ``stretched``: width and height are scaled by different factors;
     - ``letterboxed``: the whole image is scaled to fit, with equal black borders on two sides;
     - ``filled``: the image is scaled until no border remains, then cropped equally on two opposite sides;
     - ``cropped left``, ``cropped right``, ``cropped top`` and ``cropped bottom``: the image is cropped on the named
@@ -119,8 +122,8 @@ def measure_black_borders(pictures: Sequence[Picture]) -> Borders:
     """Measure the black borders of one camera's distorted images (H, W, 3) uint8.
 
     The mean over several frames gives more exact borders than one frame. If a border ends inside a pixel, the black
-    fraction of that pixel is estimated from the brightness of the next rows. If the scene is dark along a side, the
-    measured border is 0 or too wide.
+    fraction of that pixel is estimated by comparing its brightness with the image content beside it. If the scene is
+    dark along a side, the measured border is 0 or too wide.
     """
     grey = np.mean([picture.mean(axis=2) for picture in pictures], axis=0)
     sides = (grey.T, grey, grey.T[::-1], grey[::-1])
@@ -140,8 +143,8 @@ def _border_width(rows: Array) -> float:
     if content - floor < 1:
         return 0.0
     share = np.clip((level[: first + 2] - floor) / (content - floor), 0, 1)
-    # Only the last black row can contain a part of the image. Brightness in the other black rows is a ringing artefact
-    # of the codec.
+    # Of the black rows, only the last one can be partly covered by the image. If the rows before it are not quite
+    # black, this is a ringing artefact of the codec, so they count as black.
     share[: max(first - 1, 0)] = 0
     return float((1 - share).sum())
 
@@ -157,9 +160,11 @@ def choose_size(
     Each hypothesis is one method of resizing, see :func:`size_hypotheses`. A hypothesis is excluded if a black border
     that it predicts differs by more than :data:`MAX_BORDER_ERROR_PX` from the measured border. If no hypothesis fits
     the measured borders, none is excluded. The function chooses the remaining hypothesis with the smallest epipolar
-    residual. The evidence is clear if an image has a black border of at least 2 pixels and only one hypothesis fits the
-    borders. It is also clear if the smallest residual is at most 3 pixels and the residuals of all other remaining
-    hypotheses are at least 1.5 times as large.
+    residual r. The evidence is clear if either of these conditions holds:
+    - there are at least two hypotheses, r is at most 3 pixels, and all other remaining hypotheses have residuals of at
+      least 1.5 * r;
+    - only the chosen hypothesis remains, and an image has a black border of at least 2 pixels. If r is at most 3
+      pixels, no excluded hypothesis may have a residual below r / 1.5.
 
     Args:
         matches: matches of each camera pair in pixels of the distorted images; the matches of all frames are

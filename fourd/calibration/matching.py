@@ -112,10 +112,9 @@ def inlier_mask(matches: Matches, width: int, height: int, tolerance_px: float =
     CVPR 2020). A model is accepted if random matches are unlikely to give as many inliers (a contrario test, Moisan and
     Stival, IJCV 2004).
 
-    Matches of points on one plane do not determine the fundamental matrix. For any two further matches, a fundamental
-    matrix exists that fits both of them and all matches on the plane. If a homography was accepted, the test of the
-    fundamental matrix therefore ignores the matches on planes. In addition, two of the inliers outside the planes are
-    not counted as evidence.
+    Matches of points on one plane do not determine the fundamental matrix: a fundamental matrix can fit all of them and
+    any two further matches, even wrong ones. Therefore, if a homography was accepted, the test of the fundamental
+    matrix counts only the inliers outside the planes, and two of these do not count as evidence.
 
     Args:
         matches: M matches in pixels of the undistorted images.

@@ -2,8 +2,8 @@
 
 The calibration is used to rectify both images to the plane. Each small patch of one rectified image is then matched to
 the most similar patch of the other rectified image, near the position that the calibration predicts. The calibration
-affects only a patch's appearance and the centre of its search region, so calibration errors show in the positions of
-the matches.
+affects only how a patch looks and where its search is centred. The position of the match is measured in the images, so
+it reveals errors of the calibration.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ Picture = NDArray[np.uint8]
 HALF_PATCH = 24
 MIN_CORRELATION = 0.75
 MIN_LEAD = 0.12
-"""Minimum difference between the peak correlation and the highest correlation more than 8 pixels away."""
+"""Minimum difference between the highest correlation in the search region, the peak, and the highest correlation at
+positions more than 8 pixels away from the peak."""
 MIN_DROP = 0.03
 """Minimum decrease of the correlation from its peak to each of the eight positions at offsets of 3 pixels along x, y or
 both axes.
@@ -60,8 +61,8 @@ class PlanePatch:
         return round(self.width * self.resolution), round(self.height * self.resolution)
 
     def to_picture(self, camera: Camera) -> Array:
-        """Return the homography (3, 3) from raster pixels to pixels of the undistorted image; pixel corners are at
-        integers."""
+        """Return the homography (3, 3) from raster pixels to pixels of the undistorted image. In both, pixel corners
+        have integer coordinates."""
         K, R_camera_world = camera.intrinsics, camera.rotation
         step = 1 / self.resolution
         origin = R_camera_world @ self.corner + camera.translation
@@ -113,8 +114,8 @@ def _rectify(picture: Picture, camera: Camera, patch: PlanePatch) -> tuple[Pictu
     to_ray = np.linalg.inv(camera.intrinsics) @ patch.to_picture(camera) @ half
     k = camera.intrinsics.copy()
     k[:2, 2] -= 0.5
-    # OpenCV inverts the matrix argument and then applies the lens distortion. The matrix may be any homography, so one
-    # call maps raster pixels to pixels of the distorted image.
+    # OpenCV maps each raster pixel to a viewing ray by the inverse of the matrix argument, and then applies the lens
+    # distortion. The matrix may be any homography, so one call maps raster pixels to pixels of the distorted image.
     map_x, map_y = cv2.initUndistortRectifyMap(
         k, camera.distortion, None, np.linalg.inv(to_ray), patch.size, cv2.CV_32FC1
     )

@@ -25,11 +25,11 @@ MAX_PAIR_PX = 30.0
 """Upper limit, in pixels, to which the residual of a camera pair is clamped. A larger residual means that the pair's
 matches are wrong, so it does not show which principal points are correct."""
 MIN_GAIN = 2.0
-"""Minimum amount by which mirrored principal points must decrease the mean residual, as a multiple of the typical
-residual. This is the median, over the camera pairs, of their residuals with the chosen principal points."""
+"""Minimum decrease of the camera pairs' mean residual by mirrored principal points, as a multiple of the typical
+residual. The typical residual is the median of the pairs' residuals with the chosen principal points."""
 MIN_LEAD = 0.5
-"""Minimum amount by which the residual of the second best combination must exceed that of the best, as a multiple of
-the typical residual."""
+"""Minimum difference between the mean residuals of the second best and the best combination of the cameras' principal
+points, as a multiple of the typical residual (see MIN_GAIN)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,8 @@ class MirrorChoice:
             clamped at MAX_PAIR_PX.
         chosen_px: the same mean as ``given_px``, but with the chosen combination.
         next_px: the same mean, but with the second best combination.
-        given_score: median residual, and fraction of matches within 3 pixels, with the given calibration.
+        given_score: median residual of all matches, and fraction of matches with residuals of at most 3 pixels, both
+            with the given calibration.
         chosen_score: the same values as ``given_score``, but with the chosen combination.
         is_clear: whether the evidence is clear. Let r be the median, over the camera pairs, of their median residuals
             with the chosen combination. Clear evidence requires that r is at most 3, and that ``next_px`` exceeds

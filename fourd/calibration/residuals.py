@@ -59,12 +59,12 @@ def epipolar_residuals(
 
     Args:
         pictures: one RGB image (H, W, 3) per camera, of the camera's size.
-        cameras: cameras of the images. Cameras of distorted images have distortion; cameras of undistorted images have
-            none.
+        cameras: cameras of the images; they must have distortion coefficients if the images are distorted, and none if
+            the images are undistorted.
         max_features: maximum number of features per image.
 
     Returns:
-        The residuals. Wrong matches are removed without the cameras' poses
+        The residuals. The removal of wrong matches does not use the cameras' poses
         (:func:`fourd.calibration.matching.inlier_mask`), so the residuals show errors of the poses.
 
     Raises:
@@ -161,13 +161,14 @@ def epipolar_distances(matches: Matches, first: Camera, second: Camera) -> Array
 def find_bad_cameras(pairs: Mapping[Pair, float], *, max_px: float = MAX_GOOD_PX) -> tuple[int, ...]:
     """Find the cameras whose pairs have large residuals, although the other cameras agree with each other.
 
-    ``pairs`` contains the median residual of each camera pair. A pair disagrees if its median residual exceeds both
-    ``max_px`` and 4 times the median over the half of the pairs with the smallest residuals.
+    ``pairs`` contains the residual of each camera pair, which is the median over the pair's matches. Let m be the
+    median residual of the better half of the pairs, that is, the half with the smaller residuals. The two cameras of a
+    pair disagree if the pair's residual exceeds both ``max_px`` and 4 * m; otherwise, they agree.
 
     A camera is bad if it meets all of these conditions:
     - the camera belongs to at least 2 pairs;
-    - at least 75% of the camera's pairs disagree;
-    - among the cameras with which it disagrees, at least 2 agree with a third camera.
+    - in at least 75% of its pairs, the camera disagrees with the other camera;
+    - at least 2 of the cameras with which it disagrees each agree with some other camera.
 
     If there are only two cameras or all pairs disagree, the residuals do not show which camera is wrong, so no camera
     is bad.

@@ -86,8 +86,8 @@ def align_cameras(cameras: Mapping[str, Camera], poses: Mapping[str, Camera]) ->
     """Transform all cameras into the world in which some of them have the given ``poses``.
 
     One given pose determines the rotation and the translation, but not the scale. Two or more given poses also
-    determine the scale. If several poses are given, the rotation is the mean of the rotations that the single poses
-    determine, and the scale and the translation are a least-squares fit of the camera centres.
+    determine the scale. If several poses are given, each of them determines a rotation, and the mean of these rotations
+    is used. The scale and the translation are then a least-squares fit of the camera centres.
 
     Raises:
         UserError: if no name in ``poses`` is a name in ``cameras``.

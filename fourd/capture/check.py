@@ -61,7 +61,8 @@ class Report:
         distorted: number of cameras with lens distortion.
         ring_radius: mean distance between the cameras and their common focus in world units; 0 if there is no common
             focus.
-        coverage: white fraction of the matte area, averaged over the decoded mattes, or None if no matte was decoded.
+        coverage: mean matte value as a fraction of white, averaged over the decoded mattes, or None if no matte was
+            decoded. For a binary matte, this is the fraction of the image that the subject covers.
         nbytes: total size of all images, videos and mattes in bytes.
     """
 

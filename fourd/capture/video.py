@@ -30,8 +30,8 @@ MAX_JITTER = 0.05
 """Maximum deviation of a frame's time from a constant frame rate, as a fraction of the interval between frames. If any
 frame deviates more, the index stores the time of every frame."""
 MAX_RATE_ERROR = 5e-3
-"""Upper limit of the relative tolerance with which the mean rate of unevenly spaced frames is rounded to the nearest
-standard rate. The tolerance grows with the jitter of the frames."""
+"""Maximum relative difference at which the mean rate of unevenly spaced frames is replaced by the nearest standard
+rate. For videos whose frame times have little jitter, the limit is lower."""
 MIN_FPS, MAX_FPS = Fraction(1, 1000), 10_000
 """Minimum and maximum frame rate in 1/s. Scenes have the same limits."""
 PROBE_THREADS = 2
@@ -46,7 +46,7 @@ class VideoIndex:
     """Frame size, frame times and keyframes of a video.
 
     Attributes:
-        width: width of the decoded frames in pixels, after they are turned upright and reduced.
+        width: width of the decoded frames in pixels, after they are turned upright and multiplied by ``scale``.
         height: height of the decoded frames in pixels.
         frames: number of frames.
         start: presentation time of frame 0 in seconds.
@@ -366,10 +366,10 @@ def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fra
     jitter = np.abs(pts - pts[0] - np.arange(len(pts)) * float(step))
     if jitter.max() <= MAX_JITTER * float(step) or jitter.max() <= 1:
         return _rounded_rate(path, 1 / (step * base)), True
-    # Fit a line to the times as a function of the frame numbers (least squares). Dropped frames keep their numbers.
+    # Fit a line to the times as a function of the frame numbers (least squares). The numbers include dropped frames.
     numbers = np.cumsum([0, *np.maximum(np.rint(steps / np.median(steps)), 1)])
     (interval, _), covariance = np.polyfit(numbers, pts - pts[0], 1, cov=True)
-    # The tolerance follows the interval's standard error: jitter changes the interval more in shorter videos.
+    # The tolerance for standard rates is 3 times the standard error of the interval, which grows with the jitter.
     error = float(np.sqrt(covariance[0, 0])) / float(interval)
     tolerance = min(max(3 * error, STANDARD_TOLERANCE), MAX_RATE_ERROR)
     rate = 1 / (Fraction(float(interval)) * base)
@@ -377,8 +377,8 @@ def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fra
 
 
 def _rounded_rate(path: Path, rate: Fraction) -> Fraction:
-    """Round a frame rate in 1/s to a fraction. The denominator is at most 1001. For rates below 1/s, the numerator is
-    at most 1001."""
+    """Round a frame rate in 1/s to a fraction. Its denominator is at most 1001 for rates of at least 1/s; its numerator
+    is at most 1001 for rates below 1/s."""
     if not MIN_FPS <= rate <= MAX_FPS:
         raise _no_times(path, f"one frame each {float(1 / rate):.3g} s")
     return rate.limit_denominator(1001) if rate >= 1 else 1 / (1 / rate).limit_denominator(1001)

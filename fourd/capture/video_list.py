@@ -1,4 +1,5 @@
-"""Reading and writing of videos.json, which lists the videos of a capture with their indices and offsets in frames.
+"""Reading and writing of videos.json, which lists a capture's videos. Each entry contains the video's time offset and
+its index (frame count, frame times and keyframes).
 
 The frames of a capture are evenly spaced in time on a common clock. Each capture frame uses, from each video, the frame
 that is nearest in time.
@@ -147,7 +148,8 @@ def align_videos(
     Args:
         files: path of each video by camera name.
         indices: index of each video.
-        offsets: delays of the videos in frames of the common clock.
+        offsets: number of frames of the common clock by which events appear later in a video than in the other videos,
+            keyed by camera name; missing offsets are 0.
 
     Raises:
         UserError: if a video ends before another video starts.
@@ -175,7 +177,8 @@ def common_rate(videos: Mapping[str, Video]) -> Fraction | None:
     """Return the frame rate of the capture in 1/s, or None if there is no video.
 
     Raises:
-        UserError: if videos that are not on a common clock have different frame rates.
+        UserError: if a video that is not on a common clock (its ``fps`` is None) has another frame rate than the other
+            videos.
     """
     fps = min((video.rate for video in videos.values()), default=None)
     for video in videos.values():

@@ -17,8 +17,8 @@ from fourd.errors import UserError
 from fourd.progress import Track, untracked
 
 COARSE_CELLS = 48
-"""Number of grid cells along the longest side of the hull's bounding box. It limits the error of the measured box to 2%
-of its longest side, which is less than the default margin."""
+"""Number of grid cells along the longest side of the visual hull's bounding box. The box is measured with an error of
+at most one cell, which is 2% of its longest side and therefore less than the default margin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +83,10 @@ def find_bounds(
 
     Args:
         capture: cameras and masks; frames are read one at a time.
-        agreement: a point belongs to the hull only if it is inside the silhouettes of at least this fraction, in (0,
-            1], of the views that see it.
-        least_views: a point belongs to the hull only if at least this fraction, in (0, 1], of all views, and at least 3
-            views, see it. If there are only 2 views, both must see it.
+        agreement: a fraction in (0, 1]. A point belongs to the hull only if it is inside the silhouettes of at least
+            this fraction of the views that see it.
+        least_views: a fraction in (0, 1]. A point belongs to the hull only if it is seen by at least this fraction of
+            all views and by at least 3 views. If there are only 2 views, both must see it.
         margin: distance by which each face of the box is moved outwards, as a fraction of the box's longest side.
         max_frames: maximum number of frames that are read. They are evenly spaced and include the first and the last
             frame.
@@ -149,9 +149,10 @@ def hull_bounds(
 def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
     """Find the point (3,) nearest to all optical axes, and the distance between this point and the farthest camera.
 
-    If the optical axes are almost parallel, many points are almost equally near to them, and a weak prior determines
-    the result: a point in front of the mean of the camera centres, four times as far from it as the farthest camera.
-    Otherwise, the prior has almost no effect, because its weight is only 0.1% of the weight of the axes.
+    If the optical axes are almost parallel, many points are almost equally near to them. The result is then determined
+    by a weak prior for a point in front of the cameras. Let c be the mean of the camera centres, and d the distance
+    between c and the camera farthest from c. The prior's point is at the distance 4 * d from c. If the axes are not
+    parallel, the prior has almost no effect, because its weight is only 0.1% of the weight of the axes.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -191,9 +192,10 @@ def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | Non
 
 
 def removed_shares(views: Silhouettes, half: float) -> list[float]:
-    """Compute, for each view, the fraction in [0, 1] of the hull of all other views that disappears when the view is
-    added. The hull of the other views is computed with an agreement of 1. If it is empty, the agreement is lowered in
-    steps, to 0.5 at the lowest, until it is not empty. The search cube is centred on the origin of ``views``, and
+    """Compute, for each view, how large a fraction in [0, 1] the view removes from the hull of all other views.
+
+    The hull of the other views is computed with an agreement of 1. If this hull is empty, the agreement is lowered in
+    steps, to 0.5 at the lowest, until the hull is not empty. The search cube is centred on the origin of ``views``, and
     ``half`` is half the cube's side in world units.
     """
     shares = []

@@ -52,19 +52,19 @@ def carve_frame(
     """Carve one frame's visual hull and spread points evenly over its surface.
 
     Cells are subdivided from coarse to fine, and cells that certainly contain no surface are dropped. The finest cells
-    are so small that the surface intersects more of them than points are requested. Their centres are moved onto the
-    surface with an error of at most a tenth of a cell's side. Finally, points are removed evenly until the requested
-    number remains.
+    are so small that the number of cells that the surface intersects exceeds the requested number of points. The
+    centres of these cells are moved onto the surface with an error of at most a tenth of a cell's side, and become the
+    points. Finally, points are removed evenly until the requested number remains.
 
     Args:
         masks: mattes (H, W) uint8, one per camera; 255 is the object.
         cameras: undistorted pinhole cameras.
         bounds: search box, for example from :func:`find_bounds`.
         points: number of points to return, at least 1.
-        agreement: a point belongs to the hull only if it is inside the silhouettes of at least this fraction, in (0,
-            1], of the views that see it. If 20 views see it, an agreement of 0.95 tolerates one wrong view.
-        least_views: a point belongs to the hull only if at least this fraction, in (0, 1], of all views, and at least 3
-            views, see it. If there are only 2 views, both must see it.
+        agreement: a fraction in (0, 1]. A point belongs to the hull only if it is inside the silhouettes of at least
+            this fraction of the views that see it. If 20 views see it, an agreement of 0.95 tolerates one wrong view.
+        least_views: a fraction in (0, 1]. A point belongs to the hull only if it is seen by at least this fraction of
+            all views and by at least 3 views. If there are only 2 views, both must see it.
         trim: whether to remove protruding parts of the hull; see :mod:`fourd.carving.excess`. The remaining hull still
             covers all silhouettes.
         inset: distance by which points are moved into the hull, as a multiple of ``spacing``. In thin parts of the

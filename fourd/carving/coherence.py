@@ -24,7 +24,7 @@ from fourd.carving.silhouette import Floats
 Flags = NDArray[np.bool_]
 
 MAX_CELLS = 40_000
-"""Cells are subdivided until there are more cells than this number."""
+"""While there are at most this number of cells, all cells are subdivided again."""
 THRESHOLD = 128
 
 
@@ -60,15 +60,15 @@ def frame_coherence(
     Args:
         masks: mattes (H, W) uint8, one per camera; 255 is the object. At least 2 mattes are required.
         cameras: undistorted pinhole cameras.
-        agreement: a point belongs to the hull only if it is inside the mattes of at least this fraction, in (0, 1], of
-            the views that see it.
-        least_views: a point belongs to the hull only if at least this fraction, in (0, 1], of all views, and at least 3
-            views, see it. If there are only 2 views, both must see it.
+        agreement: a fraction in (0, 1]. A point belongs to the hull only if it is inside the mattes of at least this
+            fraction of the views that see it.
+        least_views: a fraction in (0, 1]. A point belongs to the hull only if it is seen by at least this fraction of
+            all views and by at least 3 views. If there are only 2 views, both must see it.
     """
     focus, reach = viewing_region(cameras)
     views = Silhouettes.from_masks(masks, cameras, focus, agreement=agreement, least_views=least_views)
-    # The candidate cells must contain every hull that is computed with one view left out, so the number of views that
-    # may exclude a candidate cell is one more than the number of tolerated outliers.
+    # The candidate cells must also contain each hull that is computed with one view left out. A cell of such a hull may
+    # be excluded by the left-out view in addition to the tolerated outliers, so one more view may exclude a candidate.
     count = len(views.views)
     rejecting = int(views.tolerated_outliers(np.array(count))) + 1
     cells, size = candidate_cells(replace(views, agreement=max(0.5, 1 - rejecting / count)), 1.5 * reach)

@@ -1,14 +1,14 @@
-"""Removal of excess parts of the visual hull, which are protrusions without which it still covers all silhouettes.
+"""Removal of the visual hull's excess parts: protrusions that are not needed to cover the silhouettes.
 
 The visual hull is the largest shape that agrees with all silhouettes. It protrudes from the object in directions
 between those of the views, and in concave regions, which no silhouette shows. Training often cannot remove these excess
 parts, because they can have the correct colour in every view, like a white lump in front of a white chest.
 
-First, the hull is filled with cells. Then, in each round, cells with a mostly empty neighbourhood are removed, but for
-each pixel inside a silhouette, the cell with the fullest neighbourhood on the pixel's ray is kept, so that the
-remaining cells still cover all silhouettes. Such repeated smoothing and thresholding moves a surface by its mean
-curvature (Merriman, Bence and Osher 1994). Kolev and Cremers (2008) also search for a shape that has a small area and
-satisfies silhouette constraints, but they solve a convex problem.
+First, the hull is filled with cells. Then cells are removed in several rounds. Each round removes the cells whose
+neighbourhood is mostly empty. On each ray through a silhouette, however, the cell with the fullest neighbourhood is
+kept, so that the remaining cells still cover all silhouettes. Such repeated smoothing and thresholding moves a surface
+by its mean curvature (Merriman, Bence and Osher 1994). Kolev and Cremers (2008) also search for a shape that has a
+small area and satisfies silhouette constraints, but they solve a convex problem.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ RAY_CELLS = 0.7
 shrink."""
 
 CRUMB_FULLNESS = 0.5
-"""The cell with the fullest neighbourhood on a ray is kept only if the filled fraction of this neighbourhood is at
-least this factor times the largest filled fraction on the adjacent rays. Otherwise, it is treated as a small piece of
-an excess part, which can be the fullest cell of a ray that passes between the centres of the object's cells."""
+"""Minimum fullness of the fullest cell of a ray, as a fraction of the largest fullness on the adjacent rays. The
+fullness of a cell is the filled fraction of its neighbourhood. If a ray passes between the centres of the object's
+cells, its fullest cell can be a small piece of an excess part. The minimum allows the removal of such a piece."""
 
 NEAR_CELLS = 1.3
-"""A point belongs to a cell if its distance from the cell's centre is at most this number of side lengths of a cell."""
+"""A point belongs to a cell if its distance from the cell's centre is at most this multiple of the cell's side."""
 
 SURFACE_SMOOTHING_CELLS = 1.2
 """Standard deviation, in cells, of the Gaussian that smooths the remaining cells before their surface is computed."""
@@ -62,7 +62,7 @@ class FilledHull:
     """Cells whose centres are inside the hull, on a regular grid. The cells at all borders of the grid are empty.
 
     Attributes:
-        lower: (3,) centre of the grid's first cell, relative to the origin of the silhouettes.
+        lower: (3,) centre of the grid's first cell, relative to the world point ``Silhouettes.origin``.
         side: side length of a cell in world units.
         shape: number of cells along each axis.
         cells: (N,) flat indices of the cells inside the hull.
@@ -79,8 +79,8 @@ class FilledHull:
         return (self.lower + index * self.side).astype(np.float32)
 
     def smoothed(self, cells: NDArray[np.int64], sigma_cells: float) -> Floats:
-        """Return the occupancy of the grid by ``cells`` (M,), smoothed with a Gaussian: an array with the grid's shape
-        and values in [0, 1]."""
+        """Return an array with the grid's shape that is 1 in the cells with the flat indices ``cells`` (M,) and 0
+        elsewhere, smoothed with a Gaussian."""
         values = np.zeros(self.shape, np.float32)
         values.ravel()[cells] = 1
         reach = int(3 * sigma_cells + 0.5)
@@ -197,8 +197,8 @@ def _rays_of_cells(view: SilhouetteView, centres: Floats, side: float) -> tuple[
 def _surface_inside_hull(
     views: Silhouettes, hull: FilledHull, remaining: NDArray[np.int64], size: float
 ) -> tuple[Floats, Floats]:
-    """Return the points (M, 3) and outward normals (M, 3) on the surface of the remaining cells. Points near the hull's
-    surface are left out. ``size`` is the distance between neighbouring points."""
+    """Return points (M, 3) and outward normals (M, 3) on the surface of the remaining cells. Points near the hull's
+    surface are left out, because it already has points. ``size`` is the distance between neighbouring points."""
     volume = hull.smoothed(remaining, SURFACE_SMOOTHING_CELLS)
     if float(volume.max(initial=0)) <= 0.5:
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)

@@ -48,8 +48,8 @@ class Silhouettes:
     Attributes:
         origin: (3,) float64 world point. The coordinates of all cells and points are relative to the origin.
         views: the silhouettes in the order of the cameras.
-        agreement: a point belongs to the hull only if it is inside the silhouettes of at least this fraction, in (0,
-            1], of the views that see it.
+        agreement: a fraction in (0, 1]. A point belongs to the hull only if it is inside the silhouettes of at least
+            this fraction of the views that see it.
         needed: minimum number of views that must see a hull point.
     """
 
@@ -255,8 +255,9 @@ def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts:
     - row 3: a part of the sphere may be in the image;
     - row 4: a part of the sphere may be in the image, and a part may project to the object.
 
-    Row 4 is needed for spheres that lie at the image borders of many views, because row 0 does not count a view that
-    sees only a part of the sphere, even if the visible part projects to the background.
+    Row 4 is needed for spheres at the image borders of many views. A view that sees only a part of such a sphere is
+    never counted in row 0, so row 0 alone cannot reject the sphere. The sphere is also rejected if too few views are
+    counted in row 4.
     """
     x, y, z = view.project(cells)
     in_front = z > radius * np.float32(1.001)
@@ -275,8 +276,8 @@ def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts:
 
 
 def _insert(lowest: Floats, owners: NDArray[np.int16], value: Floats, index: np.int16) -> None:
-    """Insert ``value`` (N,), the values of the view with the number ``index``, into ``lowest`` (K, N), in place. Each
-    column of ``lowest`` stays in ascending order."""
+    """Insert the values ``value`` (N,) of view ``index`` into ``lowest`` (K, N), in place. Each column of ``lowest``
+    contains the K lowest values so far, in ascending order, and ``owners`` (K, N) the view of each value."""
     owner = np.full(value.shape, index, dtype=np.int16)
     for rank in range(lowest.shape[0]):
         less = value < lowest[rank]

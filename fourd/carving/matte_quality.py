@@ -1,4 +1,4 @@
-"""Detection of poor mattes, of which the visual hull of the other views covers too little."""
+"""Detection of poor mattes. A matte is poor if the visual hull of the other views covers too small a part of it."""
 
 from __future__ import annotations
 

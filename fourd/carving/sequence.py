@@ -39,11 +39,11 @@ VERSION = 3
 MARGIN = 0.05
 MAX_BOUNDS_FRAMES = 120
 MIN_PARALLEL_SECONDS = 10.0
-"""Worker processes, which take some seconds to start, are used if one process would need at least this estimated time
-in seconds for the remaining frames."""
+"""Worker processes are used only if one process would need at least this estimated number of seconds for the remaining
+frames, because worker processes take some seconds to start."""
 INPUTS = ("masks/{camera}/*", ".fourd/mattes/{camera}/*", "images/{camera}/*", "videos/{camera}.*", "videos.json")
-"""Patterns of the files that carving reads from a capture. If a file changes, the carved points are no longer valid, so
-the sizes and modification times of the files are part of the key, which is a hash of all inputs of carving."""
+"""Patterns of the files that carving reads from a capture. A key, which is a hash of all inputs of carving, shows
+whether carved points are still valid. It includes the sizes and modification times of these files."""
 
 
 @dataclass(frozen=True)
@@ -81,10 +81,10 @@ def carve_capture(
         capture: cameras, images and masks.
         out_folder: folder for the files; it is created if missing.
         points: number of points per frame, at least 1.
-        agreement: a point belongs to the hull only if it is inside the silhouettes of at least this fraction, in (0,
-            1], of the views that see it.
-        least_views: a point belongs to the hull only if at least this fraction, in (0, 1], of all views, and at least 3
-            views, see it. If there are only 2 views, both must see it.
+        agreement: a fraction in (0, 1]. A point belongs to the hull only if it is inside the silhouettes of at least
+            this fraction of the views that see it.
+        least_views: a fraction in (0, 1]. A point belongs to the hull only if it is seen by at least this fraction of
+            all views and by at least 3 views. If there are only 2 views, both must see it.
         trim: whether to remove protruding parts of the hull. The remaining hull still covers all silhouettes.
         inset: distance by which points are moved into the hull, in point spacings.
         seed: seed of the random order of the points.

@@ -34,11 +34,12 @@ class SilhouetteView:
         matrix: (3, 3) float32 matrix product K * R of intrinsics and rotation.
         offset: (3,) float32 homogeneous pixel coordinates of the origin.
         focal: geometric mean of the focal lengths in pixels.
-        reach: upper bound of the distance in pixels by which the projection of a point at depth 1 moves if the point
-            moves by one world unit; valid for all points inside the image.
+        reach: upper bound, in pixels, of how far the projection of a point at depth 1 inside the image moves if the
+            point moves by one world unit.
         frame: left, top, right and bottom borders of the whole image, in pixel coordinates of the distance image.
-        distance: (h, w) float32 signed distance to the silhouette in pixels, positive inside. For a point outside the
-            crop, the value at the nearest pixel of the crop gives a lower bound of the distance to the object.
+        distance: (h, w) float32 signed distance to the silhouette in pixels, positive inside. A point outside the crop
+            gets the value at the crop's nearest pixel. The point is at least as far outside the silhouette as this
+            value says.
     """
 
     matrix: Floats
@@ -121,9 +122,9 @@ def signed_distance(mask: NDArray[np.uint8]) -> Floats:
     """Return the signed distance (H, W) float32 in pixels to the contour of a soft matte (H, W) uint8. On the contour,
     the matte has half its maximum.
 
-    In pixels next to the contour, the distance is set to m - 0.5, where m is the matte scaled to [0, 1], so bilinear
-    samples of the distance are 0 where bilinear samples of m are 0.5. The image border is not part of the contour. The
-    distance is -65,536 everywhere for an empty matte, and 65,536 for a full matte.
+    Let m be the matte scaled to [0, 1]. In pixels next to the contour, the distance is set to m - 0.5. Bilinear samples
+    of the distance are therefore 0 where bilinear samples of m are 0.5. The image border is not part of the contour.
+    The distance is -65,536 everywhere for an empty matte, and 65,536 for a full matte.
     """
     inside = (mask >= 128).astype(np.uint8)
     far = float(1 << 16)

@@ -17,15 +17,16 @@ CANDIDATES = 1.3
 computation slower."""
 MIN_DEPTH = 0.7
 """A move into the hull is acceptable if the moved point's distance from the surface is at least this fraction of the
-length of the move. Moved points near creases of the surface are nearer to it than the length of the move."""
+length of the move. The fraction is below 1, because near a crease, a moved point is nearer to the surface than the
+length of the move."""
 
 
 def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -> Floats:
     """Find the cells of side length ``size`` that may intersect the surface inside a box, and return their centres
     (3, N).
 
-    Larger cells are subdivided if they may intersect the surface. The finest cells, which have the side length
-    ``size``, are not tested. The coordinates are relative to the origin of ``views``.
+    Larger cells are tested, and those that may intersect the surface are subdivided. All cells of side length ``size``
+    that result are returned, without another test. The coordinates are relative to the origin of ``views``.
     """
     longest = float((upper - lower).max())
     levels = max(0, int(np.log2(max(longest / size / 6, 1))))

@@ -51,16 +51,16 @@ class OpenCvYaml:
         return key in self._entries
 
     def number(self, key: str) -> float | None:
-        """Return the number with the key ``key``, which may be infinite or NaN, or None if the value is not a
-        number."""
+        """Return the number with the key ``key``, or None if the value is not a number. The number may be infinite or
+        NaN."""
         item = _single_item(self._entries[key])
         return item if isinstance(item, float) else None
 
     def items(self, key: str) -> list[Item] | None:
-        """Return the items of a list of numbers and strings, which is written in brackets or with one dash per line, or
-        None if the value is not such a list.
+        """Return the items of a list of numbers and strings, or None if the value is not such a list.
 
-        An item without quotes is a number if it looks like a number.
+        The list is written in brackets or with one dash per line. An item without quotes is a number if it looks like a
+        number.
         """
         text = _without_tag(self._entries[key])
         try:

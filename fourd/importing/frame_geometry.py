@@ -65,8 +65,7 @@ def _turn_distortion(distortion: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def reduced_indices(indices: Mapping[str, VideoIndex], reduce: float) -> dict[str, VideoIndex]:
-    """Return the indices of the videos with the width and height of their frames multiplied by ``reduce``, in (0,
-    1]."""
+    """Return the VideoIndex of each video for frames whose width and height are multiplied by ``reduce``, in (0, 1]."""
     return {name: index if reduce == 1 else index.reduce(reduce) for name, index in indices.items()}
 
 
@@ -75,9 +74,9 @@ def match_calibrations(
 ) -> tuple[tuple[ImportedCamera, ...], list[str]]:
     """Turn and reduce each calibration in the same way as the frames of its video.
 
-    If ``meant`` is "auto", a calibration belongs to the stored frames if they have its orientation (landscape or
-    portrait) and the turned frames do not. In all other cases, it belongs to the turned frames, which OpenCV and video
-    players show.
+    If ``meant`` is "auto", the orientation (landscape or portrait) of the calibrated images decides: if only the stored
+    frames of the video have the same orientation, the calibration belongs to the stored frames. In all other cases, it
+    belongs to the turned frames, which OpenCV and video players show.
 
     Args:
         cameras: the source's cameras.

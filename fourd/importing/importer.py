@@ -61,7 +61,8 @@ class ImportOptions:
     Attributes:
         copy: copy files instead of linking them.
         unpack: write the frames of videos as images.
-        offsets: delay of each camera's video in frames of the capture.
+        offsets: number of frames of the capture by which events appear later in a camera's video than in the other
+            videos, keyed by camera name.
         sync: estimate the offsets without applying them.
         apply_sync: estimate the offsets and apply those with high confidence.
         fps: frame rate of images in 1/s, or None if it is not known.

@@ -32,8 +32,8 @@ class ImportRecord:
         calibration: hash of the source's calibration; see :func:`digests`.
         files: hash of the names and sizes of the source's files; see :func:`digests`.
         options: options of the command.
-        offsets: delays of the videos that were applied, in frames of the capture.
-        unpacked: whether the videos' frames were written as images, after the delays ``offsets`` were applied.
+        offsets: the applied time offsets of the videos, in frames of the capture.
+        unpacked: whether the videos' frames were written as images; the images are aligned by ``offsets``.
         done: whether the import finished.
         warnings: warnings of the import.
     """

@@ -54,7 +54,8 @@ class SynchronizedFrames:
         Args:
             cameras: the source's cameras.
             indices: video indices by camera name.
-            offsets: delays of the videos in frames of the common clock.
+            offsets: number of frames of the common clock by which events appear later in a video than in the other
+                videos, keyed by camera name.
 
         Raises:
             UserError: when there is no frame that all cameras have.

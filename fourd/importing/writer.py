@@ -44,7 +44,8 @@ class ImportSettings:
     Attributes:
         copy: copy files instead of linking them.
         unpack: write the frames of videos as images.
-        offsets: delay of each camera's video in frames of the capture, relative to the other videos.
+        offsets: number of frames of the capture by which events appear later in a camera's video than in the other
+            videos, keyed by camera name.
     """
 
     copy: bool = False

@@ -31,7 +31,7 @@ def draw_through_lens_gpu(
 
     Up to rounding, the image equals that of :func:`fourd.lenses.picture.draw_through_lens` without mirrors and glass
     balls. The rays and the bounding volume hierarchy of the points are made on the CPU. If the frame is in CPU memory,
-    the emulated kernels run.
+    the CUDA kernels are emulated on the CPU.
 
     Args:
         frame: the frame.

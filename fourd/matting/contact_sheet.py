@@ -27,8 +27,8 @@ MARGIN = 0.12
 Limbs that a matte misses remain visible in the margin.
 """
 MIN_ALPHA = 8
-"""The bounding box contains all pixels whose matte value (0 to 255) is at least this value, which is low, so that the
-box includes faint matte errors."""
+"""The bounding box contains all pixels whose matte value (0 to 255) is at least MIN_ALPHA. This limit is low, so that
+the box includes faint matte errors."""
 GAP_PX = 4
 CAPTION_PX = 16
 MIN_WIDTH_PX = 120

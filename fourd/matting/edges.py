@@ -1,4 +1,4 @@
-"""Full-resolution mattes with soft edges from low-resolution log-odds."""
+"""Full-resolution mattes with soft edges, from low-resolution log-odds that a pixel shows the subject."""
 
 from __future__ import annotations
 
@@ -40,17 +40,18 @@ CHROMA_VARIANCE = np.float32(0.1)
 """Variance of a pixel's chroma, as a fraction of the squared difference in chroma between subject and background. JPEG
 images and videos store chroma at half the resolution, so that chroma is blurred across the edge."""
 NORMALISER_WEIGHT = np.float32(0.3)
-"""Weight of the logarithm of the variance in the log-likelihood of a pixel's colour. With weight 1, the edge would move
-into the subject, because the variance of the subject's colours is a rough overestimate."""
+"""Weight of the normalisation term, the logarithm of the variance, in the log-likelihood of a pixel's colour. The
+variance of the subject's colours is overestimated. With weight 1, the term would therefore reduce the likelihood of the
+subject too much, and the edge would move into the subject."""
 PRIOR_DEVIATIONS = (0.6, 0.4, 0.25)
-"""Standard deviation of alpha around the blurred mask, one value for each pass that estimates alpha. Each pass corrects
-the position of the mask, and the next pass estimates the colours on both sides of the edge from the corrected mask. The
-small deviation of the last pass reduces noise."""
+"""Standard deviations of the prior of alpha, a Gaussian around the blurred mask. Alpha is estimated once per value:
+each estimate corrects the mask, and the next estimate takes the colours on both sides of the edge from the corrected
+mask. The small last value reduces noise."""
 ALPHAS = 11
 """Number of values from 0 to 1 at which the posterior of alpha is evaluated."""
 SHARPENING_SIGMA = 0.6
-"""Standard deviation of the Gaussian that averages alpha along the edge, as a multiple of half the width of the soft
-edge."""
+"""Standard deviation of the Gaussian that averages alpha over neighbouring pixels, as a multiple of half the width of
+the soft edge."""
 SHARPENING_GAIN = np.float32(2.0)
 """Factor that increases the contrast of the averaged alpha. Without it, the edge would be too soft, because alpha is
 the mean of a posterior."""
@@ -117,8 +118,8 @@ def estimate_edge_alpha(rgb: Picture, subject: Picture, radius: int, background:
 def _mean_alpha(
     rgb: Picture, mask: Picture, edge: Flags, radius: int, background: Floats | None, deviation: float
 ) -> Floats:
-    """Return alpha (H, W): the mean of its posterior where ``edge`` (H, W) is true, near the edge of a binary mask, and
-    the mask's value in all other pixels.
+    """Return alpha (H, W) for a binary mask (H, W). Pixels near the mask's edge, where ``edge`` (H, W) is true, get the
+    posterior mean of alpha, and all other pixels the mask's value.
 
     ``deviation`` is the standard deviation of alpha around the blurred mask.
     """

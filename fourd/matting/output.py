@@ -17,8 +17,8 @@ STATE = "mattes.json"
 MODEL_NAME = "subject.npz"
 SHEET = DERIVED / "mattes.png"
 NEW = "new_mattes"
-"""Name of the folder for new mattes that will replace mattes from other inputs or settings. It lies beside the folder
-of the mattes."""
+"""Name of the folder in which new mattes are collected if the inputs or settings have changed since the existing mattes
+were made. It lies beside the folder of the existing mattes."""
 METHODS = ("motion", "chroma", "rvm", "onnx", "masks")
 
 

@@ -1,9 +1,9 @@
 """Clean plates: each camera's background without the subject.
 
-A plate is the mean of a camera's frames over time, weighted by the mattes, as in 4K4D, sec. 4.1. The computation
-differs from 4K4D in three ways. The mean is a running mean, which needs constant memory. The exposure of each frame is
-matched to the first frame. A second pass excludes pixels that differ too much from the mean of the first pass, because
-the matte has probably missed the subject there.
+A plate is the mean of a camera's frames over time, as in 4K4D, sec. 4.1. Pixels that show the subject are excluded by
+weights from the mattes. The computation differs from 4K4D in three ways. The mean is a running mean, which needs
+constant memory. The exposure of each frame is matched to the first frame. A second pass excludes pixels that differ too
+much from the mean of the first pass, because the matte has probably missed the subject there.
 """
 
 from __future__ import annotations
@@ -202,5 +202,6 @@ def _exposure_gain(rgb: Picture, reference: Picture, weight: Floats) -> Floats:
     if np.count_nonzero(free) < 100:
         return np.ones(3, np.float32)
     gain = np.median(other[free].astype(np.float32) / part[free], axis=0)
-    # Gains within 0.004 of 1 are ignored, because rounding to 8 bits changes the median by less than 0.004.
+    # Gains within 0.004 of 1 are replaced by 1, because they do not indicate a change of exposure: rounding the images
+    # to 8 bits moves the median ratio by up to this amount.
     return np.where(np.abs(gain - 1) < 0.004, 1, gain).astype(np.float32)

@@ -9,9 +9,10 @@ from fourd.capture import Capture, open_capture
 
 CACHE_MB = 64
 CACHE_FRAMES = 8
-"""Number of decoded frames to cache for all cameras.
+"""Number of frames, each with the decoded images of all cameras, for which the cache has room in addition to CACHE_MB.
 
-The cache must have room for all frames between the two frames of an optical flow.
+The two frames between which optical flow is computed are a few frames apart. The cache must have room for both and for
+all frames between them.
 """
 
 

@@ -86,8 +86,8 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
         UserError: if no subject moves, the moving regions of the views do not intersect in space, no screen colour is
             found, or the network file is invalid.
     """
-    # Models are learned from the whole recording, and --frames only selects the mattes to write, so optical flow may
-    # reach frames that are not selected.
+    # All frames are opened, because the models are learned from the whole recording, and because the optical flow of a
+    # selected frame may need a frame that is not selected. --frames only selects the mattes to write.
     recording = replace(selection, frames=None)
     with recording.open(mattes=False) as capture:
         return _make_missing(capture, recording, selection.frames, settings, workers, track)
@@ -156,8 +156,10 @@ def matte_key(capture: Capture, settings: MatteSettings) -> str:
 
 
 def record_choice(capture: Path, settings: MatteSettings) -> None:
-    """Record whether the user chose ``settings``, which are the settings of the capture's mattes, by options of fourd
-    matte."""
+    """Record whether the user chose the settings of the capture's mattes with options of fourd matte.
+
+    ``settings`` are the settings of the mattes. They count as chosen if they differ from the default settings.
+    """
     state = MatteState.read(capture)
     is_chosen = settings != MatteSettings()
     chosen = replace(
@@ -190,7 +192,8 @@ def forget_choice(capture: Path) -> None:
     """Forget the settings that the user chose for the mattes, so that mattes made with different settings can replace
     the existing mattes.
 
-    The contact sheet of the mattes is removed, because a missing output makes the matting stage run again.
+    The contact sheet of the mattes is removed. It is an output of the matting stage, so its absence makes the stage run
+    again.
     """
     state = MatteState.read(capture)
     if state.chosen is not None:

@@ -1,4 +1,4 @@
-"""Renders textured meshes, both for scores and as output images."""
+"""Renders textured meshes, to compare them with recorded images and to make figures."""
 
 from __future__ import annotations
 

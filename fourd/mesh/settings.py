@@ -18,9 +18,10 @@ class MeshSettings:
         cells: number of cubes of the grid along the longest side of the subject, at least 8.
         texture_size: side length of the texture in texels, from 16 to 16384.
         format: "glb" for textured meshes in GLB files and an animation, "ply" for meshes with vertex colours.
-        agreement: a hull point must be inside the mattes of at least this fraction, in (0, 1], of the views that see
-            it.
-        least_views: at least this fraction, in (0, 1], of all views must see a hull point.
+        agreement: a fraction in (0, 1]. A point belongs to the hull only if it is inside the mattes of at least this
+            fraction of the views that see it.
+        least_views: a fraction in (0, 1]. A point belongs to the hull only if it is seen by at least this fraction of
+            all views.
         trim: whether to remove protruding parts of the hull before fitting. The remaining hull still covers all mattes.
         remesh: target edge length of isotropic remeshing, as a multiple of the grid's cell size. If 0, the mesh is not
             remeshed.

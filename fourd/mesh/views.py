@@ -43,7 +43,7 @@ class MeshView:
     ) -> MeshView:
         """Crop an undistorted image (H, W, 3) and its matte (H, W) to the subject.
 
-        If the matte is empty, the crop is the whole image, which still shows that the subject is nowhere in it.
+        If the matte is empty, the crop is the whole image, so that the fit keeps the mesh out of this image.
 
         Raises:
             ValueError: if the sizes of image, matte and camera differ.

@@ -13,7 +13,7 @@ from fourd.ops.blend.reference import LOGIT_RANGE
 
 MIN_VISIBILITY = 1e-3
 """Visibility weights below this value are set to 0. The threshold limits the ratio between the weights of two views, so
-that a baked scene can store them in float16."""
+that a baked scene, the exported form of a model, can store the weights in float16."""
 
 
 class ImageEncoder(nn.Module):
@@ -117,9 +117,9 @@ def mix_own_colours(colours: Tensor, visibility: Tensor, own: Tensor | None, sha
         visibility: (V, N) visibility weights in [0, 1]. Weights below MIN_VISIBILITY count as 0.
         own: (N, 3) own colours of the points, which do not depend on the view. If None, the result is ``colours``.
         share: weight of the own colour in each mixed colour, in [0, 1). If it is positive, mixed colours are clamped to
-            [0, 1], because baked scenes store them as bytes. If it is 0, as for the background, the own colour replaces
-            the colours of views in which the point is occluded: for a view with visibility v and colour c, the mixed
-            colour is ``v * c + (1 - v) * own``.
+            [0, 1], because baked scenes store them as bytes. If it is 0, as in the model of the static background, the
+            own colour replaces the colours of views in which the point is occluded: for a view with visibility v and
+            colour c, the mixed colour is ``v * c + (1 - v) * own``.
 
     Returns:
         (V, N, 3) mixed colours, differentiable in ``colours`` and ``own``.
@@ -143,7 +143,7 @@ def blend(logits: Tensor, visibility: Tensor, colours: Tensor, view_weights: Ten
 
     Returns:
         (N, 3) colours. A point that is visible in no view gets the mean of the views' colours, weighted by
-        ``view_weights``, as does a point of a baked scene whose stored weights are all 0.
+        ``view_weights``. The same applies to a point of a baked scene whose stored weights are all 0.
     """
     visibility = zero_low_visibility(visibility)
     weights = torch.softmax(logits, dim=0) * visibility

@@ -74,7 +74,7 @@ class ModelConfig:
     fade_views: bool = True
     """Multiply the blend weights of each source view by 1 - a / b, so that images change smoothly along a camera path.
     The angle a is measured at the scene's focus point, between the directions to the source view and to the viewing
-    camera. The limit b is the angle of the nearest view that is farther away than all blended views."""
+    camera. The limit b is the angle of the nearest source view that is not blended."""
     image_features: int = 8
     """Number of channels of the image encoder's features."""
     encoder_stride: Literal[1, 2] = 2

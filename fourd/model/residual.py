@@ -10,8 +10,8 @@ from fourd.model.kplanes import KPlanes
 
 
 class ResidualField(nn.Module):
-    """A small K-Planes model, followed by an MLP that displaces points by at most ``residual_range`` times the longest
-    side of the bounds along each axis."""
+    """A small K-Planes model, followed by an MLP that displaces points. The displacement along each axis is at most
+    ``residual_range`` times the longest side of the bounds."""
 
     def __init__(self, config: ModelConfig, sides: tuple[float, float, float], frame_count: int) -> None:
         super().__init__()

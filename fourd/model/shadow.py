@@ -47,8 +47,9 @@ class Shadow:
     def detach_inside(self, colour: Tensor) -> Tensor:
         """Return ``colour`` (N, 3) unchanged, but without a gradient for points inside the field.
 
-        For these points, only steps on clean plates train the background's colours, and steps on frames train only the
-        shadow.
+        Some training steps compare the background with clean plates (images without the foreground), others compare the
+        whole scene with frames. Inside the field, the background's colours learn only from the clean plates, and the
+        steps on frames train the shadow.
         """
         return torch.where(self.is_inside[:, None], colour.detach(), colour)
 

@@ -4,8 +4,8 @@
   ``op.py`` also registers a ``torch.library`` operator, its fake implementation and its gradient.
 - ``reference.py``: a slow and simple implementation with which tests compare every backend.
 
-Kernels for playing baked scenes (``shade``, ``play`` and ``points/arrays.py``) take NumPy arrays and do not import
-torch. Their CUDA versions are in ``cuda.py`` and take torch tensors.
+The functions that draw baked (exported) scenes, in ``shade``, ``play`` and ``points/arrays.py``, take NumPy arrays and
+do not import torch. Their CUDA versions are in ``cuda.py`` and take torch tensors.
 
 Modules in this folder import only each other and base modules such as :mod:`fourd.cameras`.
 """

@@ -31,7 +31,8 @@ class Job:
     Attributes:
         stage: the stage.
         cores: number of cores, which is also the number of threads and of processes that the stage may use.
-        folder: working folder to which the stage's relative paths refer. None for a portable stage.
+        folder: working folder to which the stage's relative paths refer. None for a portable stage, which does not need
+            the folders of the machine that created it.
         version: the version of fourd that created the stage.
     """
 

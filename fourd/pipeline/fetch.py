@@ -11,7 +11,7 @@ from fourd.storage import StorageUrl, fetch, list_objects
 
 @dataclass(frozen=True)
 class FetchFiles:
-    """The folder that contains the copy, which is named after the last part of the URL."""
+    """The folder into which the source is copied. In it, the copy has the name of the last part of the URL."""
 
     folder: Path
 

@@ -41,8 +41,8 @@ REPAIRED = "repaired"
 STILL = "still"
 RUN = "run"
 SCENE = "scene.4dv"
-"""Name of the scene file, independent of the option -o, if the folder for intermediate results is in an object
-store."""
+"""Name of the scene file in the folder for intermediate results, if this folder is in an object store. From there, the
+finished file is copied to the path or URL of the option -o."""
 UPLOADED = "uploaded.json"
 """File that records the last upload: the states of the local scene file and of the object in the store."""
 
@@ -99,9 +99,10 @@ def make_scene(
 ) -> None:
     """Run every stage from ``source`` to the scene file ``out``.
 
-    Intermediate results are kept in the folder ``work``: ``run/``, ``stages.json``, ``capture/`` if ``source`` needs an
-    import, and ``repaired/``, the capture with a corrected calibration, if the stage ``repair`` corrects it. After a
-    change of an input or a setting, the next call repeats only the stages that depend on it. Interrupted stages resume.
+    Intermediate results are kept in the folder ``work``. It contains the run (``run/``) and the record of the stages
+    (``stages.json``). If ``source`` needs an import, it contains the imported capture (``capture/``). If the stage
+    ``repair`` corrects the calibration, it contains the corrected capture (``repaired/``). After a change of an input
+    or a setting, the next call repeats only the stages that depend on it. Interrupted stages resume.
 
     Args:
         source: a capture, or any source that :mod:`fourd.importing` can read. A URL is copied to ``work/source/``.
@@ -112,8 +113,8 @@ def make_scene(
         points_from: folder with the user's points as FRAME.ply files, which replace the carved points.
         lpips_weights: file or folder with the weights of LPIPS. If None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
-        imports: options of the import; None for the default options. A frame rate is stored in ``source`` even if
-            ``source`` needs no import.
+        imports: options of the import; None for the default options. If ``source`` is a capture that needs no import,
+            the frame rate of the options, if any, is stored in this capture.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
         keep_chosen_mattes: whether to keep mattes whose method the user chose with ``fourd matte``. If false, they are
             replaced by mattes with the settings in ``mattes``.

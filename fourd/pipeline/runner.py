@@ -101,8 +101,8 @@ class Runner:
         return True
 
     def _start_stored(self, stage: AnyStage, stored: StoredResults) -> bool:
-        """Return whether the work of the stage must run. Files with an older key are removed by the machine that runs
-        it."""
+        """Return whether the work of the stage must run. The machine that runs the work removes the files that were
+        written with an older key."""
         key = self._keys[stage.name] = stage.key(self._keys, stored.root)
         is_due = not stored.is_finished(stage, key)
         self._report(f"{stage.name}: {'running' if is_due else 'up to date'}")
@@ -138,7 +138,7 @@ def _split(stages: Sequence[AnyStage]) -> list[list[AnyStage]]:
 
 
 def _started(stage: AnyStage) -> str:
-    """Return the name of the record file's entry with the key of a started stage."""
+    """Return the name of the entry that stores the key of a started stage in the record file."""
     return f"{stage.name} started"
 
 

@@ -90,7 +90,7 @@ def _lock(folder: Path) -> int:
 
 
 def _describe_holder(descriptor: int) -> str:
-    """Describe the process that holds the lock, whose ID is in /proc/locks on Linux."""
+    """Describe the process that holds the lock. On Linux, /proc/locks contains the ID of this process."""
     try:
         inode = os.fstat(descriptor).st_ino
         lines = [line.split() for line in Path("/proc/locks").read_text(encoding="ascii").splitlines()]

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 
 @contextmanager
 def called_every(seconds: float, action: Callable[[], object]) -> Iterator[None]:
-    """Call ``action`` in a thread while the ``with`` block runs, and wait ``seconds`` before each call. The end of the
-    block waits for a running call."""
+    """Call ``action`` in a thread while the ``with`` block runs, and wait ``seconds`` before each call. If a call is
+    running when the block ends, wait until it returns."""
     stopped = threading.Event()
 
     def repeat() -> None:

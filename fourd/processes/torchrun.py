@@ -1,4 +1,4 @@
-"""Environment variables with which torchrun describes the processes that it starts, which are called ranks."""
+"""The environment variables that torchrun sets in the processes that it starts. These processes are called ranks."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ LENGTHS = struct.Struct("<QQ")
 MAX_REPLY_BYTES = 1 << 30
 """Maximum size in bytes of a reply. Large replies are encoded images."""
 CRASHED = 77
-"""Exit code of the child process if it cannot allocate memory."""
+"""Exit code of the child process after a failed memory allocation."""
 
 
 def write_message(stream: BinaryIO | Any, message: dict[str, Any], content: bytes = b"") -> None:
@@ -108,7 +108,8 @@ def _limit_time(seconds: float) -> None:
 
 
 def _end_with_parent(parent: int) -> None:
-    """Let Linux end this process when its parent process ends. On other systems, it ends when its input ends."""
+    """Let Linux end this process when its parent process ends. On other systems, this process ends when its standard
+    input ends."""
     if sys.platform == "linux":
         import ctypes
 

@@ -201,8 +201,8 @@ def _download(store: Any, url: StorageUrl, item: StoredObject, path: Path, stop:
 
 
 def _is_current(item: StoredObject, path: Path, known: tuple[int, str] | None) -> bool:
-    """Return True if a copy is complete and has the object's current version. The sizes of files in folders such as
-    .fourd/ are not checked, because fourd may have changed them."""
+    """Return True if a copy is complete and has the object's current version. Copies whose key starts with a dot, such
+    as files in .fourd/, may have another size, because fourd may have changed these files."""
     if known != (item.size, item.version) or not path.is_file():
         return False
     return path.stat().st_size == item.size or item.key.startswith(".")

@@ -12,8 +12,8 @@ from fourd.storage.url import StorageUrl, require_object
 from fourd.storage.versions import object_version
 
 READ_AHEAD_BYTES = 256 << 10
-"""Minimum number of bytes that a request reads. Bytes beyond a shorter read are kept for the next reads. A longer read
-is a single request."""
+"""Minimum number of bytes that a request reads. If a caller reads fewer bytes, the rest is kept for the next reads. If
+a caller reads more bytes, they are read with a single request."""
 
 
 def open_object(url: StorageUrl) -> BinaryIO:

@@ -17,7 +17,8 @@ this process, for tests and programs."""
 
 @dataclass(frozen=True)
 class StorageUrl:
-    """The URL of an object or of a folder, which is a common prefix of objects. :func:`parse_location` checks URLs.
+    """The URL of an object or of a folder. A folder consists of all objects whose keys start with the folder's path.
+    :func:`parse_location` checks URLs.
 
     The part after the scheme is used without percent-decoding, as in other programs for these stores.
     """

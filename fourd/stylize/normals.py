@@ -1,10 +1,10 @@
 """Estimates the normals of a scene's points, and encodes them in two bytes.
 
 A point's normal is the direction in which its neighbours spread least (principal component analysis, Hoppe et al.
-1992), on the side from which the capture's cameras see the point. On thin parts, such as the legs of an animal, the
-neighbours lie on all sides and do not determine the normal, so each normal is rotated until it faces all cameras that
-see the point. Normals are then averaged over the neighbours, because the noise of the positions would show as speckle
-in a drawing.
+1992). Of the two opposite directions, the normal is the one that points to the side from which the capture's cameras
+see the point. On thin parts, such as the legs of an animal, the neighbours lie on all sides and do not determine the
+normal, so each normal is rotated until it faces all cameras that see the point. Normals are then averaged over the
+neighbours, because the noise of the positions would show as speckle in a drawing.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ LEAST_COSINE = 0.1
 TURNING_ROUNDS = 2
 """Number of rounds in which each normal is rotated towards the cameras that see the point."""
 _SEES = 0.3
-"""A camera counts as seeing a point if its weight there is above this fraction of the largest weight of all cameras.
-Smaller weights often belong to cameras that see the point through a gap between other points."""
+"""A camera counts as seeing a point if the camera's weight at this point is above this fraction of the largest weight
+that any camera has at the point. Smaller weights often belong to cameras that see the point through a gap between other
+points."""
 _COARSE = 12
 """Number of cells along the longest side of a coarse grid, which is used to find the outer side of surfaces that no
 camera sees."""

@@ -37,14 +37,16 @@ class Light:
 
 @dataclass(frozen=True)
 class Ramp:
-    """The colours of toon and X-Toon shading.
+    """The colours of toon and X-Toon shading, as a function of the tone. The tone is the brightness of the shading: (1
+    + N.L) / 2 for the cosine N.L between the normal and the direction to the light.
 
     Attributes:
         stops: lists of four numbers in [0, 1]: the tone at which a colour begins, and its red, green and blue. The
             first stop has the tone 0.
         softness: range of tones, from 0 to 1, over which one colour changes to the next.
-        map: path of a PNG that replaces ``stops``. Its columns are tones, and its rows are values of the detail (see
-            :class:`DetailAxis`), starting with 0 in the first row. Toon shading has 1 row, and X-Toon shading 1 to 64.
+        map: path of a shade map, a PNG that replaces ``stops``. Its columns have the colours of the tones from 0 to 1,
+            and its rows those of the details from 0 to 1 (see :class:`DetailAxis`). Toon shading has 1 row, and X-Toon
+            shading 1 to 64.
         gain: factor for the colours.
     """
 
@@ -65,7 +67,8 @@ class Ramp:
 
 @dataclass(frozen=True)
 class DetailAxis:
-    """The second axis of X-Toon shading, whose colours depend on the tone and on the detail, which this class defines.
+    """The detail, the second quantity in [0, 1] on which the colours of X-Toon shading depend. The first one is the
+    tone (see :class:`Ramp`).
 
     Attributes:
         by: the quantity that determines the detail. For "depth", the detail is 0 at ``near`` and 1 at ``far``. For
@@ -136,13 +139,14 @@ class Angle:
 
 @dataclass(frozen=True)
 class LineSettings:
-    """The lines of a drawing: outlines of surfaces, and lines inside them.
+    """The lines of a drawing: outlines of surfaces, and lines inside them. A filter finds them by comparing the depths
+    and the normals at its taps, which are the pixel and samples around it.
 
     Attributes:
         filter: none, sobel (nine taps) or cross (five taps).
-        depth: relative jump of the depth above which a line is drawn. Positive.
-        normal: change, over the filter's taps, of the cosine between the normals at the tap and at the pixel, above
-            which a line is drawn. Positive.
+        depth: a line is drawn where the relative jump of the depth is above this number, which is positive.
+        normal: a line is drawn where the cosine between the pixel's normal and the normal at a tap changes across the
+            filter by more than this number, which is positive.
         thickness: distance between the taps in pixels of an image with 1080 rows, 0.25 to 8. Lines are about twice as
             wide.
         opacity: opacity of the strongest lines, 0 to 1.
@@ -198,8 +202,8 @@ class Style:
             ``shading`` is "none". Gooch shading instead adds ``albedo`` times the captured colour to the shade colour.
         base: colour that makes up the fraction ``1 - albedo`` of the surface colours if ``shading`` is "none".
         paper: colour behind the scene, or None for the image's background colour.
-        persistence: weight of the previous image while the camera does not move, from 0 to 0.95. It applies to depths,
-            to normals, and to lines that were fainter in the previous image.
+        persistence: weight of the previous image in a running average over the images while the camera does not move,
+            from 0 to 0.95. Averaged are the depths, the normals, and the strengths of lines that become stronger.
         hysteresis: fraction by which line thresholds are reduced where the previous image has a line.
     """
 

@@ -1,4 +1,5 @@
-"""Shade tables: (R, 256, 3) uint8 arrays, whose columns are tones and whose rows are values of the detail."""
+"""Shade tables, which contain the shading colour for each tone (column) and detail (row): (R, 256, 3) uint8 arrays.
+:mod:`fourd.stylize.styles` defines tones and details."""
 
 from __future__ import annotations
 

@@ -30,8 +30,8 @@ def view_style(
     Args:
         table: the style's shade table (:func:`fourd.stylize.tables.make_table`).
         camera: the image's pinhole camera.
-        focus: (3,) centre of the scene in world units. The style's depths are multiples of its distance from the
-            camera.
+        focus: (3,) centre of the scene in world units. The style's depths are multiples of the distance from the camera
+            to this centre.
         background: red, green and blue behind the scene, which are used if the style has no paper.
     """
     inverse = np.linalg.inv(camera.intrinsics)

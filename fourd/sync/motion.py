@@ -64,11 +64,12 @@ class Offsets:
         frames: offsets in whole frames. The offset of the first camera is 0.
         subframes: offsets with fractions of a frame, from parabolas through the peaks of the correlations.
         confidence: confidence of each camera's offset in [0, 1]. Offsets with a confidence above 0.3 are reliable, and
-            those below 0.1 are unreliable. A camera's confidence is the mean confidence of the better half of its
-            pairs. A pair's confidence is ``min((p1 - c) / (1 - c), 2 * (p1 - p2))``, where p1 is the peak of the
-            correlation of its two signals, p2 the highest correlation at lags more than 3 frames away from the peak,
-            and c = 4 / sqrt(frames) the noise level. It is 0 if the pair's lag differs by more than one frame from the
-            difference of the two cameras' offsets.
+            those below 0.1 are unreliable. The lag is estimated for every pair of cameras. A camera's confidence is the
+            mean confidence of the better half of the pairs that include it. A pair's confidence is
+            ``min((p1 - c) / (1 - c), 2 * (p1 - p2))``, where p1 is the peak of the correlation of its two signals, p2
+            the highest correlation at lags more than 3 frames away from the peak, and c = 4 / sqrt(frames) the noise
+            level. A pair's confidence is 0 if its lag differs by more than one frame from the difference of the two
+            cameras' offsets.
     """
 
     frames: tuple[int, ...]

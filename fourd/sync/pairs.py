@@ -24,8 +24,8 @@ def solve_offsets(
         lags: (P,) offset of camera j minus offset of camera i, in any unit of time.
         pair_weights: (P,) weights in [0, 1].
         count: number of cameras.
-        tolerance: a pair has its full weight if its lag deviates from the fitted offsets by at most this value, in the
-            unit of the lags.
+        tolerance: a pair has its full weight if its lag deviates from the difference of the two cameras' fitted offsets
+            by at most this value, in the unit of the lags.
     """
     if not pairs:
         return np.zeros(count)
@@ -43,7 +43,7 @@ def solve_offsets(
 
 
 def camera_confidence(weights: Sequence[float]) -> float:
-    """Return the confidence of a camera: the mean of the larger half of its pairs' weights. If there is only one
-    camera, the confidence is 1."""
+    """Return the confidence of a camera, given the weights of all pairs that include it: the mean of the larger half of
+    the weights. If there is only one camera, the confidence is 1."""
     better = sorted(weights, reverse=True)[: (len(weights) + 1) // 2]
     return float(np.mean(better)) if better else 1.0

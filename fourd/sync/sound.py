@@ -33,7 +33,8 @@ the noise of phones is above it."""
 MAX_LAG_SECONDS = 60.0
 MIN_OVERLAP_SECONDS = 0.25
 MAX_GAP_SECONDS = 0.005
-"""Gaps between blocks of sound are ignored up to this number of seconds. Longer gaps are filled with silence."""
+"""Maximum duration, in seconds, of a gap between two decoded audio frames that is ignored. Longer gaps are filled with
+silence."""
 SILENCE_RMS = 1e-4
 """Level below which a soundtrack is treated as silent, as a fraction of full scale. The value corresponds to -80 dB."""
 ECHO_SECONDS = 0.06
@@ -78,10 +79,10 @@ class SoundOffsets:
         seconds: offsets. A sound at the time t of the first camera's video is at the time t + offset of the other
             camera's video.
         confidence: confidence of each offset in [0, 1]. A camera's confidence is the mean confidence of the better half
-            of its pairs. A pair's confidence rises from 0 to 1 while the peak of the correlation rises from 10 to 20
-            standard deviations of the correlation. It is reduced if another peak, more than 60 ms away, is higher than
-            3/4 of the highest peak. It is 0 if the pair's lag differs from the difference of the two offsets by more
-            than 3 ms.
+            of the pairs of cameras that include it. A pair's confidence rises from 0 to 1 while the peak of the
+            correlation rises from 10 to 20 standard deviations of the correlation. It is reduced if another peak, more
+            than 60 ms away, is higher than 3/4 of the highest peak. The confidence of a pair is 0 if its lag differs by
+            more than 3 ms from the difference of the two cameras' offsets.
         sigmas: for each camera, height of the highest correlation peak among its pairs, in standard deviations of the
             correlation.
     """

@@ -21,7 +21,7 @@ PIXELS_PER_SQUARE = 96
 BORDER_SQUARES = 0.5
 """Width of the plain border around the pattern, in squares."""
 INK, GROUND, BACKGROUND = 35.0, 215.0, 110.0
-"""Grey values of the board's bright and dark parts, and of the background."""
+"""Grey values of the board's dark parts, of its bright parts, and of the background."""
 UNDISTORT_STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 
 

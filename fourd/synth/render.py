@@ -203,7 +203,8 @@ def _normals(part: Part, local: Array) -> Array:
 def _bounding_box(part: Part, camera: Camera) -> Box:
     """Return the pixel bounds (left, top, right, bottom) of the part's projection, clipped to the image.
 
-    ``right`` and ``bottom`` are exclusive. The bounds contain the exact projections of the part's two spheres.
+    ``right`` and ``bottom`` are exclusive. The bounds are computed from the exact projections of two spheres whose
+    convex hull contains the part.
     """
     k = camera.intrinsics
     edges: list[list[float]] = [[], []]

@@ -29,7 +29,8 @@ CACHED_STEPS = 100
 possible because they change only slowly during training."""
 MAX_DEPTH_BEHIND = 9.0
 """Tolerance of the occlusion test, as a multiple of the point's spacing. A point is occluded in a plate if it lies
-farther than the tolerance behind the plate's occlusion depth."""
+farther than the tolerance behind the plate's occlusion depth, which is the rendered depth of the background's surface
+(see :func:`fourd.training.occlusion.occlusion_depth`)."""
 MIN_RADIUS = 0.6
 """Smallest radius of a background point, as a multiple of the point's spacing."""
 
@@ -81,8 +82,8 @@ def outside_all_images(xyz: Tensor, cameras: Sequence[Camera]) -> Tensor:
     """Return an (N,) bool mask that is true for the points of ``xyz`` (N, 3) that lie outside the images of all
     ``cameras``.
 
-    Training never renders these points, so they never get a gradient. Densification removes points without a gradient,
-    but must keep these.
+    Training never renders these points, so they never get a gradient. Densification removes other points without a
+    gradient, but keeps these points.
     """
     outside = np.ones(xyz.shape[0], np.bool_)
     for camera in cameras:
@@ -93,7 +94,8 @@ def outside_all_images(xyz: Tensor, cameras: Sequence[Camera]) -> Tensor:
 
 @dataclass(frozen=True)
 class _CachedPlate:
-    """A plate's occlusion depth (H, W) and encoded features (C, h, w), computed at step ``step``."""
+    """A plate's occlusion depth (H, W), behind which points are occluded, and its encoded features (C, h, w), both
+    computed at step ``step``."""
 
     step: int
     depth: Tensor | None
@@ -163,7 +165,7 @@ class StaticBackground:
             cameras: indices of the cameras.
             train_encoder: whether this step trains the image encoder. If true, the returned views contain no features,
                 so that the encoder computes them again with a gradient.
-            points: points from which this call computes the occlusion depths. It also encodes the plates again. If
+            points: if given, this call computes the occlusion depths from these points and encodes the plates again. If
                 None, cached depths and features are used.
         """
         images, mattes, padded = self._padded_plates(cameras)

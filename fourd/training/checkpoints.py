@@ -78,8 +78,9 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
         tensors: name -> dense tensor, stored bit for bit.
         state: JSON data that is stored in the file's header. Floats are stored exactly.
 
-    The file also contains BLAKE2b digests of its own contents and of this step's points files. Write the points files
-    before calling this function.
+    The points of each frame are in separate points files, in the folder :func:`points_folder` next to the checkpoint.
+    The checkpoint also contains BLAKE2b digests of its own contents and of these points files, so write them before
+    calling this function.
 
     Returns:
         The file's path.

@@ -96,8 +96,9 @@ class BackgroundConfig:
     planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(levels=4, base_resolution=64, time=False))
     """K-Planes of the background, in contracted space."""
     joint: bool = True
-    """In training steps on a frame, render and train foreground and background together. If false, steps on a frame
-    render and train only the foreground, and the background is trained only in steps on clean plates."""
+    """Render and train foreground and background together in steps on a frame. Each training step uses either a frame
+    or a clean plate as ground truth (see `share`). If `joint` is false, steps on a frame render and train only the
+    foreground, and the background is trained only in steps on clean plates."""
     share: float = 0.35
     """Fraction of the training steps that use a clean plate (image of the empty scene) as ground truth. The other steps
     use a frame."""
@@ -114,7 +115,7 @@ class BackgroundConfig:
     where many points overlap at each pixel. If K is too small there, the farthest of these points are missing in the
     image. Training compensates by enlarging the discs, so even more points overlap, and the image becomes blurred."""
     encoder_every: int = 8
-    """Update the background's image encoder only in steps on a clean plate whose step number is divisible by
+    """Update the background's image encoder only in steps that use a clean plate and whose step number is divisible by
     `encoder_every`."""
     shadow: bool = False
     """Learn the shadows and the reflected light that the foreground casts on the background in each frame. Requires a
@@ -145,7 +146,7 @@ class DensifyConfig:
     share: float = 0.1
     """Maximum fraction of the points that are split in one densification."""
     growth: float = 1.25
-    """Maximum number of points in a cloud, as a multiple of the cloud's initial number of points."""
+    """Maximum number of points of a frame or of the background, as a multiple of its initial number of points."""
     until: float = 0.6
     """Fraction of the training budget after which densification ends."""
 
@@ -162,9 +163,11 @@ class RefineConfig:
     """Corrections of the training cameras' calibration. All corrections are off by default."""
 
     poses: bool = False
-    """Refine camera poses by bundle adjustment before carving, and then by gradient descent while training."""
+    """Refine camera poses by bundle adjustment before the visual hull is carved, and then by gradient descent while
+    training."""
     focal: bool = False
-    """Refine focal lengths by bundle adjustment before carving, and then by gradient descent while training."""
+    """Refine focal lengths by bundle adjustment before the visual hull is carved, and then by gradient descent while
+    training."""
     colours: bool = False
     """Learn an affine correction of each camera's colours. The mean correction over all cameras is the identity."""
     rotation_deg: float = 0.5
@@ -280,8 +283,8 @@ class TrainConfig:
     """In each step, skip the points whose compositing weight does not exceed this value at any pixel of the target
     view. If 0, no points are skipped."""
     keep_in_hull: bool = True
-    """Prevent stray points: if a step moves a point out of its silhouette in the target view or in a source view, move
-    it back."""
+    """Prevent stray points: if a step moves a point such that its projection leaves the foreground's silhouette in the
+    target view or in a source view, move it back."""
     smoothing: float = 0.5
     """Strength of surface smoothing, which moves each point towards a plane through its neighbours. Points that are
     closer to their plane than a quarter of the point spacing are not moved. If 0, smoothing is switched off."""

@@ -3,8 +3,9 @@ bounded. Only glibc is supported. With other C libraries, :func:`retain_freed_me
 nothing.
 
 Images differ in size, so freed blocks do not always fit the next allocation, and the heap's address space grows for
-hours during training. It occupies physical memory only for the pages that were written since the heap was last trimmed.
-Data that is kept for many steps is stored in separate pages outside the heap, because it would fragment the heap.
+hours during training. Trimming the heap returns its free pages to the system, so the growing address space occupies
+little physical memory. Data that is kept for many steps would fragment the heap, so it is stored in separate pages
+outside the heap.
 """
 
 from __future__ import annotations

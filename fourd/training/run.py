@@ -61,7 +61,7 @@ class SceneConfig:
     """Quantities that are measured from the capture before training. Lengths are in world units."""
 
     lower: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Lower corner of the bounds."""
+    """Lower corner of the bounds, an axis-aligned box around the subject."""
     upper: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Upper corner of the bounds."""
     spacing: float = 0.01
@@ -112,8 +112,8 @@ class Run:
 
     @property
     def focus(self) -> NDArray[np.float64]:
-        """(3,) centre of the bounds, in world units. The cameras nearest to a view are those with the smallest angles
-        to the viewing camera, measured at this point."""
+        """(3,) centre of the bounds, in world units. Angles between cameras are measured at this point. The cameras
+        nearest to a viewing camera are those with the smallest angles to it."""
         return (np.asarray(self.config.scene.lower) + np.asarray(self.config.scene.upper)) / 2
 
     @property

@@ -28,10 +28,10 @@ from fourd.triangle_fitting.neighbours import unit_normals
 NEAREST = 12
 """Number of nearest triangles from which a point's signed distance is computed."""
 SMOOTHING_CELLS = 1.0
-"""Standard deviation of the triangles' Gaussian weights, in units of the cube side."""
+"""Standard deviation of the triangles' Gaussian weights, in units of the side of the grid's cubes."""
 LEAST_SHARE = 1e-3
-"""Signed distances closer to 0 than this value, in units of the cube side, are replaced by it, because distances of 0
-would produce triangles without area."""
+"""Minimum absolute value of signed distances, in units of the side of the grid's cubes. Distances closer to 0 are
+replaced by this positive value, because distances of 0 would produce triangles without area."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +134,8 @@ def close_holes(
     graph = coo_array((np.ones(len(start), np.bool_), (start, end)), shape=(count, count))
     label = connected_components(graph, directed=False)[1][start]
     hole = np.unique(label, return_inverse=True)[1]
-    # At each vertex of a hole, equally many open edges start and end, so the mean over the starts of all open edges
-    # includes every vertex.
+    # At each vertex of a hole, as many open edges start as end. Every vertex is therefore the start of an open edge, so
+    # the mean over the starts of all open edges includes every vertex.
     number = np.bincount(hole)
     centres = np.stack([np.bincount(hole, xyz[start, axis]) / number for axis in range(3)], axis=1)
     caps = np.stack([end, start, count + hole], axis=1)

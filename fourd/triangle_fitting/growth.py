@@ -15,11 +15,11 @@ MIN_WEIGHT = 0.022
 MIN_OPACITY = 0.014
 GROWTH = 1.3
 SPLIT_PX = 24.0
-"""A triangle that is chosen for growth is split in four if its longest edge exceeds this length, in pixels, in a
-training view, and duplicated otherwise."""
+"""A triangle that is chosen for growth is split in four if its longest edge is longer than this number of pixels in at
+least one training view. Otherwise, it is duplicated."""
 CLONE_OFFSET = 0.2
-"""Standard deviation of the random shifts of a duplicated triangle's copy along two of its edges, as a fraction of the
-edge's length."""
+"""The copy of a duplicated triangle is shifted at random along two of its edges. This number is the standard deviation
+of each shift, as a fraction of the edge's length."""
 
 
 @torch.no_grad()
@@ -69,8 +69,8 @@ def longest_edges_px(corners: Tensor, cameras: Sequence[Camera]) -> Tensor:
     """Return an approximate upper bound (T,), in pixels, on the length of each triangle's longest edge in the images of
     ``cameras``.
 
-    The bound is the maximum over all cameras of the edge's length in world units times the focal length, divided by the
-    depth of the triangle's centre.
+    For each camera, the length of the edge in world units is multiplied by the focal length and divided by the depth of
+    the triangle's centre. The bound is the maximum over all cameras.
     """
     edge = (corners - corners[:, [1, 2, 0]]).norm(dim=2).amax(dim=1)
     centre = corners.mean(dim=1)

@@ -4,8 +4,9 @@ The alpha of a triangle at a pixel is its opacity times a window function, which
 to 0 at its edges (:func:`fourd.raster.triangles.splat_triangles`). In the soft phase, the exponent sigma of the window
 function is 1.16, and opacities have no lower limit. In the next phase, sigma decreases geometrically to 1e-4 while a
 lower limit of the opacity rises from 0.1 to 0.9999, so that the triangles become opaque up to their edges. The initial
-value of sigma is that of Held et al. 2025, and the ranges of sigma and of the lower limit are those of the paper's
-method with opaque triangles. In fourd, both depend on the spent fraction of the budget.
+value of sigma is that of Held et al. 2025. Its final value and the range of the lower limit are those of the variant of
+their method that makes triangles opaque. In fourd, sigma and the lower limit depend on the spent fraction of the
+budget.
 """
 
 from __future__ import annotations

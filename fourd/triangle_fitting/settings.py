@@ -25,9 +25,10 @@ class TriangleSettings:
         normal: weight of the loss on the angles between neighbouring triangles.
         laplacian: weight of the squared Laplacian of connected meshes, with lengths in units of the cube side.
         crease: weight of the normal-consistency loss of connected meshes.
-        agreement: a hull point must be inside the mattes of at least this fraction, in (0, 1], of the views that see
-            it.
-        least_views: at least this fraction, in (0, 1], of all views must see a hull point.
+        agreement: a fraction in (0, 1]. A point belongs to the hull only if it is inside the mattes of at least this
+            fraction of the views that see it.
+        least_views: a fraction in (0, 1]. A point belongs to the hull only if it is seen by at least this fraction of
+            all views.
         seed: seed of all random numbers: the order of the views, the initial triangles and the growth.
     """
 

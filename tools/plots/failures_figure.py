@@ -25,7 +25,8 @@ Picture = NDArray[np.uint8]
 
 FRAMES, CAMERAS, SIZE = 12, 12, 320
 SHOWN, BROKEN, OTHER = 0, 4, 9
-"""Indices of three cameras: the one whose image the figure shows, and the first and the second one with an error."""
+"""Indices of three cameras: SHOWN is the camera whose image the figure shows, BROKEN is the camera with an error, and
+OTHER is the camera whose calibration is exchanged with that of BROKEN."""
 LATE_FRAMES = 3
 POINT_BGR = (60, 160, 255)
 

@@ -44,7 +44,7 @@ class Arguments:
     capture: tyro.conf.Positional[Path]
     """The capture with the ground-truth images and mattes."""
     views: str
-    """Names of the cameras to compare with, separated by commas."""
+    """Names of the cameras whose captured images are compared with the rendered ones, separated by commas."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for rows.json and for the exported files. Rows that rows.json already contains are not measured again."""
     every: int = 8
@@ -52,7 +52,7 @@ class Arguments:
     levels: tuple[str, ...] = tuple(f"{tier}{level + 1}" for tier in LEVELS for level in range(len(LEVELS[tier])))
     """Levels of packed scenes to measure. The default is all levels."""
     transform: Path | None = None
-    """The program splat-transform. By default, the formats of other programs are not measured."""
+    """Path of the program splat-transform. By default, the formats of other programs are not measured."""
     degrees: tuple[int, ...] = (0, 1, 2, 3)
     """Degrees of spherical harmonics at which splats are exported."""
 
@@ -61,9 +61,10 @@ class Arguments:
 class Row:
     """One point of a rate-distortion curve.
 
-    ``size`` is the number of bytes per frame, of which a player downloads ``fetched`` bytes for one viewing camera.
-    ``psnr`` maps each frame to the mean PSNR over the cameras, in dB. ``background`` is the size in bytes of the
-    background, which a scene stores only once.
+    ``size`` is the number of bytes per frame. To draw a frame of a packed scene from one camera, a player downloads
+    only ``fetched`` of these bytes: it leaves out source views that this camera does not need. ``psnr`` maps each frame
+    to the mean PSNR over the cameras, in dB. ``background`` is the size in bytes of the background, which a scene
+    stores only once.
     """
 
     curve: str

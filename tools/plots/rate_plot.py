@@ -30,7 +30,8 @@ class Arguments:
 
 
 def main(arguments: Arguments) -> None:
-    """Draw one curve for each tier and each format, averaged over the frames that all rows have in common."""
+    """Draw one curve for each tier (kind of packed scene) and one for each other format, averaged over the frames that
+    all rows have in common."""
     matplotlib.use("Agg")
     from matplotlib import pyplot
 

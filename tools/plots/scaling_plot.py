@@ -34,8 +34,9 @@ half"). An exponent of 1 means linear growth."""
 class Arguments:
     """Options of the measurement.
 
-    Each series varies one of three quantities: the number of points, the number of pixels or the number of layers K.
-    The other two quantities keep their base values: 262,144 points, 1920 x 1080 pixels and K = 15.
+    Each series varies one of three quantities: the number of points, the number of pixels or the number of layers K,
+    which is the maximum number of points composited per pixel. The other two quantities keep their base values: 262,144
+    points, 1920 x 1080 pixels and K = 15.
     """
 
     out: Path = Path("docs")

@@ -2,7 +2,8 @@
 
     python tools/rays/scaling.py -o docs/figures/rays_scaling.png
 
-Times are CPU seconds on one thread, which other programs hardly change. Each time is the median of five calls.
+Times are CPU seconds on one thread, because other running programs hardly affect CPU times. Each time is the median of
+five calls.
 """
 
 from __future__ import annotations

@@ -35,10 +35,10 @@ class Costs:
     frame, and ``colour`` means the colour of such a point in one training camera.
 
     Attributes:
-        stage_start_s: start of a stage's process.
+        stage_start_s: starting a stage's process.
         decode_s_per_mp: decoding the frames of a video in order, per megapixel.
         seek_s_per_mp: decoding random frames of a video with a key frame every 60 frames, per megapixel.
-        train_start_s: start of a training run, and its first checkpoint.
+        train_start_s: starting a training run and writing its first checkpoint.
     """
 
     stage_start_s: float
@@ -67,7 +67,7 @@ class Costs:
 
 @dataclass(frozen=True)
 class Capture:
-    """A capture and the config of its training.
+    """A capture and the config of its training, which divides the frames into segments and trains each separately.
 
     Attributes:
         cameras: number of cameras.

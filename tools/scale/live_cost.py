@@ -5,10 +5,10 @@
 The program trains CAPTURE with the options after `--`, and starts `fourd serve` for the run. The training time is
 divided into --windows pairs of time windows of --seconds seconds each. In one window of each pair, the program sends
 requests to the server as often as an open page would. In the other, the server process is stopped (SIGSTOP). The
-program prints the ratio of the training speeds with and without the page, in two units: steps per second of training
-time, and steps per second of CPU time, which depends less on other programs. With --browser, Chromium sends the
-requests instead: it shows the page in one window of each pair, and an empty page in the other. With --scene, the
-scene's data is requested too or, with --browser, the tab with the scene is open.
+program prints the training speeds with and without the page, and their ratio. The speed is measured in steps per second
+of training time, and again in steps per second of CPU time, which depends less on other programs. With --browser,
+Chromium sends the requests instead: it shows the page in one window of each pair, and an empty page in the other. With
+--scene, the program also requests the scene's data. With --browser and --scene, Chromium opens the page's scene tab.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def main() -> None:
 
 
 def measure(run: Path, processes: tuple[int, int], watch: Callable[[bool], None], windows: int, seconds: float) -> None:
-    """Print the speeds in watched and unwatched windows, and the CPU time of the server.
+    """Print the training speeds in windows with and without the page, and the CPU time of the server.
 
     Args:
         run: the run's folder.

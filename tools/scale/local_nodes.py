@@ -20,8 +20,8 @@ PATIENT = 200
 TITLE = "ray::"
 """Prefix of the process titles of Ray's workers."""
 OTHER_TITLES = ("IDLE", "DashboardAgent", "RuntimeEnvAgent")
-"""Prefixes, after TITLE, of the titles of processes that run no stage: idle workers and a node's agents. Killing an
-agent would end its node."""
+"""Words that follow TITLE in the titles of those processes that run no stage: idle workers and a node's agents. Killing
+an agent would end its node."""
 ATTEMPTS = 5
 """Maximum number of attempts to start a node."""
 

@@ -44,8 +44,8 @@ from tools.scale.cost_model import Costs
 VIDEO_SIZE = (3840, 2160)
 VIDEO_FRAMES = 60
 STEPS = (20, 140)
-"""Steps at which training stops first, and after it is resumed. The time of one step is computed from the CPU seconds
-before and after the interruption."""
+"""Training stops at the first of these steps, is resumed, and ends at the second. The time of one step is computed from
+the CPU seconds of the two parts."""
 START = "import fourd.pipeline.graph"
 """The imports that a stage's process runs before the stage starts its work."""
 
@@ -130,7 +130,7 @@ def matte_bytes_per_mp(capture: Path) -> float:
 
 
 def measure(capture: Path, run: Path, case: Case) -> Measured:
-    """Carve a run, train it in two parts and bake it."""
+    """Carve the visual hulls of a run, train it in two parts and export its scene. Return the costs of these stages."""
     with open_capture(capture) as opened:
         views, whole = tuple(opened.names[: case.cameras]), opened.cameras[0]
     config = TrainConfig(
@@ -142,8 +142,8 @@ def measure(capture: Path, run: Path, case: Case) -> Measured:
     for steps in STEPS:
         longer = replace(config, max_steps=steps)
         seconds.append(cpu_seconds(lambda longer=longer: train_stage(files, longer).run(Context())))
-    # The first part runs STEPS[0] steps, and the second one, which resumes it, the other STEPS[1] - STEPS[0] steps. The
-    # time to start training is the same in both, so it cancels out in the difference.
+    # The first part of the training runs STEPS[0] steps, and the second part runs STEPS[1] - STEPS[0] steps. The time
+    # to start training is the same in both parts, so it cancels out in the difference.
     step_s = max(seconds[1] - seconds[0], 0) / (STEPS[1] - 2 * STEPS[0])
     scene = run / "scene.4dv"
     bake_s = cpu_seconds(lambda: bake_stage(BakeFiles(run, scene), BakeSettings()).run(Context()))

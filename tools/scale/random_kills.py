@@ -128,8 +128,8 @@ def run_with_kills(
         running = {pid: name for pid, name in nodes.stages().items() if victims.count(name) < RETRIES}
         if not running:
             continue
-        # A segment whose process is killed below is dropped from ``kept``. If it has just finished, training it again
-        # is no error.
+        # ``kept`` has the finished segments, which must not be trained again. The segment whose process is killed next
+        # is an exception: it may have finished just before the kill, so it is removed from ``kept``.
         kept = {**command.finished_segments(), **kept}
         pid, name = min(running.items(), key=lambda item: (victims.count(item[1]), item))
         if kinds[len(killed)] == "worker":

@@ -2,9 +2,10 @@
 
     python tools/scale/segment_jumps.py RUN SCENE.4dv
 
-A frame step is the mean absolute difference between the images of two successive frames, averaged over the run's
-held-out cameras. It counts as a step between segments if at least one of the two frames is shared by two segments. The
-steps of the captured images are measured too, because the subject does not move by the same amount in every frame.
+RUN was trained in segments: ranges of frames that are trained separately and overlap by some frames. A frame step is
+the mean absolute difference between the images of two successive frames, averaged over the run's held-out cameras. It
+counts as a step between segments if at least one of the two frames is in the overlap of two segments. The steps of the
+captured images are measured too, because the subject does not move by the same amount in every frame.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ def _on_black(run: Run, index: int, frame: int) -> NDArray[np.float32]:
 
 
 def _steps_between_segments(run: Run) -> NDArray[np.bool_]:
-    """(F - 1,) bool, true for each frame step of which at least one frame is shared by two segments."""
+    """(F - 1,) bool, true for each frame step of which at least one frame is in the overlap of two segments."""
     count = run.capture.frame_count
     plan = SegmentPlan.divide(count, run.config.train.segments)
     owners = [plan.shares(frame) for frame in range(count)]

@@ -6,8 +6,8 @@
 The simulated stages only wait (:mod:`tools.scale.simulated_stages`), but the stage graph, the runner, the tasks and the
 retries are the same as in ``fourd make``. Each simulated node consists of the processes of a real Ray node. A failure
 kills all processes of a random node and adds a new node. The program compares the scene with that of an uninterrupted
-run without a cluster. It also counts the units of work that were lost and repeated, and monitors memory and the
-progress bar.
+run without a cluster. The work of a simulated stage consists of units, each of which stands for the work between two
+checkpoints. The program also counts the units that were lost and repeated, and monitors memory and the progress bar.
 """
 
 from __future__ import annotations
@@ -122,7 +122,8 @@ def report_memory(samples: list[tuple[int, int]]) -> None:
 
 
 def report_bar(text: str) -> None:
-    """Print the states of the segments' progress bar. Exit if it moved backwards or did not end at its full length."""
+    """Print the first and the last state in ``text`` of the progress bar, which counts the finished segments. Exit if
+    the bar moved backwards or did not end at its full length."""
     shown = [(int(done), int(count)) for done, count in BAR.findall(text)]
     steady = all(before <= after for (before, _), (after, _) in itertools.pairwise(shown))
     whole = bool(shown) and shown[-1][0] == shown[-1][1]
@@ -140,8 +141,8 @@ def _expected_scene(simulation: Simulation) -> str:
 
 
 def run_watched(run: Callable[[], None], nodes: LocalNodes, arguments: argparse.Namespace) -> Watched:
-    """Call ``run`` in a thread, and meanwhile measure and replace nodes in the main thread, which is the only thread in
-    which Ray can start nodes."""
+    """Call ``run`` in a thread. Meanwhile, sample the memory and replace nodes in the main thread, which is the only
+    thread in which Ray can start nodes."""
     import grpc
     import ray
 

@@ -4,8 +4,8 @@ for the machine.
 The stage graph, the runner and its record of finished stages, and the tasks of the cluster are the same as in ``fourd
 make``. The work of a stage consists of units. A unit stands for the work between two checkpoints: the stage waits, and
 then records the unit in a file. A repeated stage continues after the last recorded unit. The output of a stage is a
-hash of its name, its number of units and the outputs of the earlier stages, so the scene is as expected only if each
-stage has read complete outputs.
+hash of its name, its number of units and the outputs of the earlier stages. The scene, which is the output of the stage
+"bake", is therefore correct only if each stage has read complete outputs.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class UnitCounts:
         units: number of units.
         lost: number of executions that were interrupted because the process was killed.
         repeated: number of executions, not counting the first execution of each unit.
-        redone: number of unnecessary executions, for which an earlier execution had finished the unit.
+        redone: number of executions that were unnecessary, because an earlier execution had finished the unit.
     """
 
     units: int

@@ -39,7 +39,7 @@ LINES_HEADING = (60, 514)
 ZOOM_WHEEL_PX = -300
 """Distance by which the mouse wheel is scrolled on the web page, to move the camera towards the subject."""
 WARM_UP_SECONDS = 8.0
-"""Seconds to wait before the screenshot, until lines have their full strength."""
+"""Seconds to wait before the screenshot, until the style's lines, which fade in, have their full strength."""
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,8 @@ from fourd.viewer.output.video import write_video
 
 BACKGROUND = (0.93, 0.93, 0.93)
 STEADY_PICTURES = 12
-"""Number of images that are drawn from the same camera for each image on the sheet. Only the last one is kept, in which
-the lines have their full strength.
+"""Number of images that are drawn from the same camera for each image on the sheet. Only the last one is kept, because
+lines fade in over successive images.
 """
 
 

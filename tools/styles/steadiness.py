@@ -96,7 +96,11 @@ class Count:
 
 
 def main(arguments: Arguments) -> None:
-    """Print the percentage of edge pixels that flicker in each style, with and without its averaging over time."""
+    """Print the percentage of edge pixels that flicker in each style.
+
+    Each style is measured twice: unchanged, and without the averaging over images and the hysteresis by which fourd
+    reduces flicker.
+    """
     scene = open_scene(arguments.scene)
     manifest = scene.manifest
     views = dict(zip(manifest.names, manifest.cameras, strict=True))

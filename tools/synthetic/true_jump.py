@@ -2,8 +2,9 @@
 
 python tools/synthetic/true_jump.py demo/scene.work/run --images 240
 
-The jump ratio (the column `jump` of tools/quality_table.py) is above 1 even for true images, because neighbouring
-images differ more where the subject covers more pixels. Only what a run adds to the true ratio is an error of the run.
+The jump ratio (the column `jump` of tools/quality_table.py) is the largest difference between neighbouring images of
+the orbit, divided by the median difference. It is above 1 even for true images, because neighbouring images differ more
+where the subject covers more pixels. Only what a run adds to the true ratio is an error of the run.
 """
 
 from __future__ import annotations

@@ -148,8 +148,10 @@ def path_of(camera: Camera, focus: NDArray[np.float64]) -> list[Camera]:
 
 
 def turned(camera: Camera, focus: NDArray[np.float64], angle: float) -> Camera:
-    """Rotate ``camera`` about the axis through the focus that is parallel to the camera's up direction. Its view
-    changes as if the scene were rotated by ``angle`` instead."""
+    """Rotate ``camera`` about the axis through the focus that is parallel to the camera's up direction.
+
+    The image of the result is the image that the unrotated camera would show if the scene were rotated by ``angle``.
+    """
     x, y, z = camera.rotation[1]
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross

@@ -3,10 +3,10 @@
     python tools/web/decode_times.py scene_full.4dv scene_stream.4dv scene_light.4dv
 
 The worker and the native code decode the points, the spherical harmonics, and the source views that are blended for the
-last camera of the scene. The browser uses one worker, and the native code uses one core. A scene file is a ZIP archive,
-whose members are compressed with zlib in the page's copy of the scene. The worker and the native code take turns
-decoding this copy. Afterwards, the native code alone decodes the given scene, whose members `fourd pack` compresses
-with Zstandard.
+last camera of the scene. The browser uses one worker, and the native code uses one core. First, the program writes a
+web page with a copy of the scene. A scene file is a ZIP archive. `fourd pack` compresses its members with Zstandard,
+but the members of the page's copy are compressed with zlib, which browsers can decode. The worker and the native code
+take turns decoding this copy. Afterwards, the native code alone decodes the original file (column "native, alone").
 """
 
 from __future__ import annotations

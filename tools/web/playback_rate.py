@@ -6,8 +6,10 @@
 The program opens the page of the scene with an empty browser cache, from a server that limits the data rate to --mbps.
 It prints the time from opening the page to the start of playback and, for playback, the pauses, the images per second
 and the amount of received data. It also moves the time bar to frames that are not in memory, and prints the time until
-each frame is shown. If --tier is not given, a level is chosen as by `fourd web --max-mbps`. Use --repeat to make the
-scene longer, by repeating its frames with new frame numbers. The program needs Chromium and the package playwright.
+each frame is shown. The scene is packed in a tier and a level, which determine its size and quality. If --tier is not
+given, the program chooses the best ones that fit the data rate --mbps, as `fourd web --max-mbps` does. Use --repeat to
+make the scene longer, by repeating its frames with new frame numbers. The program needs Chromium and the package
+playwright.
 """
 
 from __future__ import annotations
@@ -109,14 +111,15 @@ class Arguments:
     mbps: float = 50.0
     """Data rate of the connection in megabits per second."""
     served_mbps: float | None = None
-    """Actual data rate of the server, in megabits per second. The default is --mbps. Set a higher rate to find out
-    whether this machine decodes and draws fast enough."""
+    """Data rate at which the server sends, in megabits per second. The default is --mbps. Set a higher rate to find out
+    whether this machine decodes and draws fast enough. The level of the scene is still chosen for --mbps."""
     latency: float = 0.02
     """Delay of each response in seconds."""
     seconds: float = 10.0
     """Duration of the measured playback in seconds."""
     tier: Tier | None = None
-    """Tier whose default level is played. By default, the level that fits the connection is played."""
+    """Tier in which the scene is packed, at the tier's default level. By default, the best tier and level that fit the
+    connection are used."""
     repeat: int = 1
     """Number of times that the frames are played in succession."""
     rounds: int = 5

@@ -12,7 +12,8 @@ from fourd.baking import BakedFrame
 from fourd.viewer.display import RenderRequest
 
 _BLOCK = 64
-"""Number of points whose coordinates NumPy compares at once. Minima along an axis of only 3 elements are slow."""
+""":func:`_bounds` computes minima and maxima over the rows of an array that has this number of points per row. With one
+point (3 elements) per row, NumPy would be slow."""
 
 
 @dataclass(frozen=True)
@@ -33,10 +34,11 @@ class RegionFinder:
         self._corners: NDArray[np.float64] = np.zeros((8, 3))
 
     def find(self, request: RenderRequest, margin: int | None) -> ImageRegion:
-        """Return a region that contains all discs, extended by one pixel for the pixel filter.
+        """Return a region that contains all discs.
 
-        The region is the whole image if the scene has a background, if the box around the points extends behind the
-        near plane or is not finite, or if ``margin`` is None.
+        The region extends one pixel past the discs, because the pixel filter averages blocks of 3 x 3 pixels. It
+        is the whole image if the scene has a background, if the box around the points extends behind the near plane or
+        is not finite, or if ``margin`` is None.
 
         Args:
             request: the frame, which has at least one point, and the camera.

@@ -42,7 +42,7 @@ class GLRenderer:
 
     @property
     def stale_images(self) -> int:
-        """Number of images, up to and including the last one, that were drawn in succession with the depth order of an
+        """Number of successive images, counted back from the last one, that were drawn with the depth order of an
         earlier request.
 
         The number is 0 if the last image was drawn with its own depth order.
@@ -103,8 +103,9 @@ class GLRenderer:
     def _release_styled(self) -> None:
         """Free the objects that only styles need, and all frame textures.
 
-        The frame textures may contain estimated normals. Frames without a style are uploaded without normals, so if the
-        textures were kept, they would still contain the background's old normals when a style is chosen again.
+        The frame textures may contain estimated normals, but while no style is used, frames are uploaded without
+        normals. If the textures were kept and a style was chosen again, the background would count as already uploaded.
+        Its new normals would not be uploaded, and the old ones would be drawn.
         """
         if self._styled is None:
             return

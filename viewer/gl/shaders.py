@@ -14,9 +14,11 @@ TEXELS_PER_ROW = 4096
 """Width in texels of the textures that store arrays. The width is a power of two, so that shaders can use bit
 operations."""
 NONE = 1e9
-"""A number larger than every rank. A rank is a layer's position in depth order, counted from 1.
+"""A number larger than every rank. The rank of a disc is its position in depth order, counted from 1 at the nearest
+disc.
 
-As a bound in dual depth peeling, NONE means that the pixel has no layer.
+In depth peeling, a pixel in which a pass finds no disc gets the value NONE. In dual depth peeling, such a pixel gets
+-NONE, and NONE is the upper bound of the ranks in the first pass.
 """
 
 _DEFINES = {"TEXELS_PER_ROW": str(TEXELS_PER_ROW), "NONE": "1e9", "MIN_TRANSMITTANCE": str(MIN_TRANSMITTANCE)}

@@ -112,8 +112,10 @@ class StyledDrawing:
         return self._stylizer.line_strength
 
     def with_normals(self, frame: BakedFrame, manifest: SceneManifest) -> BakedFrame:
-        """Return the frame with normals. The results for the last two frames are kept, so that they are not uploaded
-        again."""
+        """Return the frame itself if it has normals, and otherwise a copy with estimated normals.
+
+        The copies of the last two frames are kept and returned again, because the renderer uploads every new object.
+        """
         if frame.normals is not None:
             return frame
         for source, complete in self._frames:

@@ -24,7 +24,7 @@ class SurfaceTextures:
 
 
 class GLStylizer:
-    """Draws surfaces in a style, and keeps the lines of the last image."""
+    """Draws surfaces in a style, and keeps the lines of the last image, on which the lines of the next image depend."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -65,8 +65,8 @@ class GLStylizer:
     def draw(self, surface: SurfaceTextures, parameters: StyleParameters) -> moderngl.Texture:
         """Draw a surface in the style ``parameters``. The surface must have the size set by :meth:`resize`.
 
-        Returns a texture that contains the colours, composited over the paper, and alpha. Row 0 of the texture is the
-        top of the image. The next call overwrites the texture.
+        Returns a texture with the alpha of the image and its colours, which are composited over the paper (the colour
+        behind the scene). Row 0 of the texture is the top of the image. The next call overwrites the texture.
         """
         targets = self._targets
         disable_blending(self._context)

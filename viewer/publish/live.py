@@ -27,7 +27,7 @@ class LiveScene:
     Args:
         source: a `.4dv` file or a run.
         folder: the folder to which the scene and its poster are written. It must not exist.
-        tier: tier with which a scene is packed, if it is not packed yet.
+        tier: tier (quality, such as "stream") in which a scene is packed, if it is not packed yet.
         console: prints progress and errors of updates.
 
     Attributes:
@@ -105,7 +105,7 @@ class LiveSite:
     Args:
         source: a `.4dv` file or a run.
         folder: the folder to write. It must not exist.
-        tier: tier with which a scene is packed, if it is not packed yet.
+        tier: tier (quality, such as "stream") in which a scene is packed, if it is not packed yet.
         console: prints progress and errors of updates.
         styles: the styles that the page offers, by name. If None, the page offers the presets.
 

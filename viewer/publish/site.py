@@ -48,7 +48,7 @@ def write_site(
     Args:
         source: a `.4dv` file of any version.
         out: the folder to write. An earlier site in it is replaced.
-        tier: tier with which the scene is packed, if it is not packed yet.
+        tier: tier (quality, such as "stream") in which the scene is packed, if it is not packed yet.
         title: title of the page, or None for the name of the source file.
         track: reports progress.
         level: index of the tier's level (a set of quantisation steps), as for

@@ -1,5 +1,5 @@
-"""Writes the styles of the web player as a JSON file, which the code in viewer/web/stylize reads. It contains the
-shaders of viewer/shaders/stylize, and the numbers and shade tables of the styles."""
+"""Writes the styles of the web player as a JSON file, which the code in viewer/web/stylize reads. The file contains the
+shaders of viewer/shaders/stylize and, for each style, its shade table and its shader uniforms."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ _SHADERS = {
     "outlines": "stylize/outlines.frag",
 }
 _OF_THE_CAMERA = ("ray", "light", "detail_per_depth", "hatch_spacing", "paper")
-"""Names of the numbers of a style that depend on the camera. The player computes them for each image."""
+"""Names of the fields of :class:`fourd.ops.stylize.parameters.Numbers` (a style's uniforms) that depend on the camera
+or on the background colour. The player computes them for each image."""
 
 
 def load_styles(paths: Iterable[Path]) -> dict[str, Style]:
@@ -63,9 +64,9 @@ def write_styles(path: Path, styles: Mapping[str, Style]) -> None:
 
 def _describe(name: str, style: Style) -> dict[str, Any]:
     table = make_table(style)
-    # The exported numbers must not depend on a camera. This camera therefore has the axes of the world, so that `light`
-    # is not rotated, and is 1 unit from the centre of the scene, so that detail_per_depth equals the detail per
-    # distance.
+    # view_style() needs a camera, but the exported numbers must not depend on it. The camera therefore has the axes of
+    # the world, so that `light` is not rotated. It is 1 unit from the centre of the scene, because the player divides
+    # the exported detail_per_distance by the actual distance to compute detail_per_depth.
     camera = Camera(np.eye(3), np.eye(3), np.zeros(3), 1, 1)
     parameters = view_style(style, table, camera, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
     numbers = asdict(parameters.numbers)

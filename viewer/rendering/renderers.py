@@ -42,7 +42,7 @@ class Renderer(Protocol):
 
     @property
     def stale_images(self) -> int:
-        """Number of images, up to and including the last one, that were drawn in succession with the depth order of an
+        """Number of successive images, counted back from the last one, that were drawn with the depth order of an
         earlier request.
 
         The number is 0 if the last image was drawn with its own depth order.

@@ -1,8 +1,8 @@
 #version 330 core
 // Composites the two layers that a dual peeling pass has found: the nearer one behind `front`, and the farther one in
-// front of `back`.
+// front of `back`. The rank of a disc is its position in depth order, counted from 1, nearest first.
 
-uniform sampler2D bounds;  // Minus the rank of the nearer layer, and the rank of the farther layer.
+uniform sampler2D bounds;  // Minus the rank of the nearer layer, and the rank of the farther layer (dual_peel.frag).
 uniform sampler2D discs;   // Two texels per disc, in order of rank.
 uniform sampler2D front;
 uniform sampler2D back;

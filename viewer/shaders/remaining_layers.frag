@@ -1,6 +1,7 @@
 #version 330 core
 // Keeps only the pixels in which a dual peeling pass has found layers, so that an occlusion query can count them. If
-// `visible_only` is true, it keeps only pixels whose next layer is visible through the layers in front.
+// `visible_only` is true, pixels are also dropped where the layers in `front` leave a transmittance below
+// MIN_TRANSMITTANCE, because farther layers are invisible there.
 
 uniform sampler2D bounds;
 uniform sampler2D front;

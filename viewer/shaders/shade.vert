@@ -11,7 +11,7 @@ uniform sampler2D blend_weights;  // One texel per point and source view.
 uniform sampler2D rgb;            // One texel per point and source view.
 uniform int views;                // Number of source views.
 uniform int dynamic_count;        // Number of dynamic points, which are stored first.
-uniform int gap;                  // Number of unused slots between the dynamic points and the background.
+uniform int gap;                  // Number of unused slots between the dynamic points and the static background points.
 
 uniform vec3 intrinsics_x;  // The first two rows of the intrinsic matrix.
 uniform vec3 intrinsics_y;
@@ -28,7 +28,7 @@ uniform int blended_count;
 uniform float sh_range;
 uniform float sh_base;
 
-uniform sampler2D normals;  // One texel per point: an octahedral normal in world axes. Not used by COLOURS.
+uniform sampler2D normals;  // One texel per point: an octahedral normal in world axes. Not read for COLOURS.
 uniform int painted;        // The quantity that the discs show: COLOURS, NORMALS or DEPTHS.
 uniform float depth_unit;   // Depths are written as multiples of this length, which is in world units.
 

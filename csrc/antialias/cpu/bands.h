@@ -1,5 +1,5 @@
 // Divides the work of kernels that visit all pairs of neighbouring pixels of an image. Files that are compiled once per
-// instruction set (common/dispatch.h) do not include this header.
+// instruction set (common/dispatch.h) must not include this header, because they must not call its inline functions.
 #pragma once
 
 #include <algorithm>

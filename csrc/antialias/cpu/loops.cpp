@@ -119,7 +119,8 @@ void blend_backward(const Plan& plan, const Rows& rows, const Gradients& gradien
                 if (edge_of(codes[column], axis) == 0) continue;
                 const Pair pair{row, column, axis};
                 if (!has_owner(view, pair, codes[column])) {
-                    // count() also counts crossings for which has_owner() is false; these crossings contribute 0.
+                    // Every pair with an edge in `codes`, as counted by count(), has two contributions. If has_owner()
+                    // is false, both are 0.
                     if (own && contributions) *contributions++ = {0, 0, 0, 0}, *contributions++ = {0, 0, 0, 0};
                     continue;
                 }

@@ -61,8 +61,9 @@ FOURD_INLINE void add(float weight, const Entry<Features>& from, Entry<Features>
     for (int part = 0; part < Entry<Features>::kParts; ++part) to->parts[part] += weight * from.parts[part];
 }
 
-// The grid cells that contain the points of a batch. The last index of each array is the point. The first index of
-// `entry` is the corner, and the first index of `weight` is the cell's edge along x (see Cell).
+// The grid cells that contain the points of a batch. The members are those of Cell (hashgrid/maths.h), with the point
+// as the last index: entry[corner][point], weight[edge][point] for the four edges of the cell that are parallel to x,
+// and fraction[point].
 struct Cells {
     std::uint32_t entry[kCorners][kRun];
     float weight[kCorners / 2][kRun];

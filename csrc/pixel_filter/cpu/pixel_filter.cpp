@@ -19,7 +19,7 @@ struct Copies {
 
 constexpr std::size_t kCopies = 4;
 
-// The rows of an image, of which the columns from `left` to before `right` are copied.
+// An image. copy() copies the columns [left, right) of one of its rows.
 struct Canvas {
     std::uint8_t* rgba;
     std::size_t stride, left, right;

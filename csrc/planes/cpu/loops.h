@@ -10,9 +10,9 @@ namespace fourd::planes {
 
 constexpr int kRun = 64;  // Number of points per batch. The positions of a batch stay in the L1 cache.
 
-// The index (0 to 3) of a coordinate, and the number of samples of a plane along this coordinate. Planes with the same
-// coordinate and the same number of samples share an axis, so the sample indices of a point are computed once per axis,
-// not once per plane.
+// An axis of a plane: the index (0 to 3) of its coordinate, and the number of samples along it. Each plane has two
+// axes. If axes of several planes have the same coordinate and the same number of samples, they are stored as one axis,
+// so that the sample indices of a point are computed only once for all these planes.
 struct Axis {
     int coordinate;
     int size;

@@ -24,8 +24,9 @@ struct Tile {
     int width, height;  // Size of the image.
 };
 
-// The scratch memory of the backward pass. A visit is one (entry, block) pair in which the point of the entry may hit
-// pixels of the block. Visits are sorted by entry, then by block.
+// The scratch memory of the backward pass. An entry is a point in the list of the tile (Tile::entries), and a block is
+// one of the 16 groups of 4 x 4 pixels of the tile. A visit is one (entry, block) pair in which the point of the entry
+// may hit pixels of the block. Visits are sorted by entry, then by block.
 struct Visits {
     // Shape (count, 16): for each pixel of the block, the transmittance in front of the point, or -1 if the point does
     // not hit the pixel.
@@ -64,8 +65,9 @@ struct Loops {
     // Renders the colours and the visible surface. The features of the tile are the output of join_normals.
     void (*draw_surface)(const Tile& tile, const Surface& out);
 
-    // Computes the gradient of a tile. `slots` (tile.count,) has the slot of each entry (tiles/depth_bins.h). `sums`
-    // has 5 + channels floats per slot: one SplatGradient, and then the gradient of the features.
+    // Computes the gradient of a tile. Each pair of a point and a tile has one slot, an index into arrays of results.
+    // slots[i] is the slot of the tile's entry i (tiles/depth_bins.h). The gradient of the point is written to its row
+    // of `sums`, which has 5 + channels floats per slot: one SplatGradient, and then the gradient of the features.
     void (*render_backward)(const Tile& tile, const ImageGradient& gradient, const Visits& visits,
                             const std::size_t* slots, float* sums);
 

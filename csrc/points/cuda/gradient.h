@@ -5,8 +5,9 @@
 
 namespace fourd::points::cuda {
 
-// The gradient of the loss with respect to the image, at one pixel. points/cpu/gradient.inc explains the formula. It
-// also explains why the value of a layer does not include the gradient with respect to alpha.
+// The gradient of the loss with respect to the image, at one pixel. GradientPixel computes a value for each layer of
+// the pixel from it. points/cpu/gradient.inc has the formulas, and explains why this value does not include the
+// gradient with respect to alpha.
 template <int kCapacity>
 struct Upstream {
     float colour[kCapacity];

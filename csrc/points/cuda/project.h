@@ -33,7 +33,8 @@ struct ProjectPoint {
     }
 };
 
-// Builds the entries of a cloud, and allocates `sums` floats per point.
+// Builds the entries of a cloud. Also allocates Entries::sums with `sums` floats per point, for the gradients that the
+// backward pass sums over pixels.
 inline Entries fill(const device::Executor& executor, const Cloud& cloud, const Settings& settings,
                     const EntryBuffer& buffer, int sums) {
     return tiles::cuda::fill<Splat>(

@@ -43,7 +43,8 @@ class Bins {
     // Number of images that have their own vertex positions, or 1 if all images share the positions.
     std::size_t vertex_images_ = 0;
     Buffer<Snapped> vertices_;
-    std::vector<std::size_t> first_item_;  // Index of each image's first item (triangle of an image).
+    // An item is one triangle of one image. first_item_ has the index of each image's first item.
+    std::vector<std::size_t> first_item_;
     // The items are divided into parts, one per worker. For each part, entries_ has the pieces, and counts_ has the
     // number of these pieces in every tile.
     std::vector<std::vector<Entry>> entries_;

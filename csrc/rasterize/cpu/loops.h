@@ -10,10 +10,12 @@ namespace fourd::rasterize {
 constexpr int kTile = 32;  // Side of a tile in pixels.
 constexpr int kTilePixels = kTile * kTile;
 
-// The plane equations of the triangles in one tile, as a structure of arrays. There are `capacity` elements per array.
+// The plane equations (Planes in maths.h) of the triangles in one tile, as a structure of arrays. There are `capacity`
+// elements per array.
 struct Records {
     static constexpr int kFields = 3 * kPlanes + 4;
-    float* values;  // Shape (kFields, capacity): c, x and y of the planes, range of z/w, encoded id, and scale.
+    // Shape (kFields, capacity): the members c, x, y, low and high of Planes, the encoded id, and Planes::scale.
+    float* values;
     std::uint32_t* references;  // Reference pixels (see Planes): x in the lower 16 bits, y in the upper 16 bits.
     std::size_t capacity;
 

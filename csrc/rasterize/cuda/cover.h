@@ -15,8 +15,9 @@ FOURD_DEVICE static inline bool is_small(const Bounds& bounds) {
     return (bounds.right - bounds.left + 1) * (bounds.bottom - bounds.top + 1) <= kSmallPixels;
 }
 
-// The triangles of all images. An item is one triangle of one image. Every image has longest_range items. If an image
-// has fewer triangles, its last items have no triangle.
+// The triangles of all images. An item is one triangle of one image. Every image has longest_range items, where
+// longest_range is the largest number of triangles that any image has. If an image has fewer triangles, its last items
+// have no triangle.
 struct Items {
     Query query;
     std::size_t longest_range;

@@ -1,4 +1,5 @@
-// Depth-first traversal of a tree for one ray on a GPU, for blocks of triangles or of discs.
+// Depth-first traversal of a tree for one ray on a GPU. The leaves of the tree, called blocks, contain triangles or
+// discs.
 #pragma once
 
 #include <cstddef>

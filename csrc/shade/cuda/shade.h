@@ -40,8 +40,9 @@ class ShadePoint {
     }
 
   private:
-    // Blends the colours of the chosen views with normalised weights. If all chosen views have the blend weight 0 at
-    // the point, only the view weights are used.
+    // Blends the colours of the chosen views. The weight of a view is its view weight times its blend weight at the
+    // point (Points::weights). If these products are 0 for all chosen views, the weight of a view is its view weight
+    // alone. Weights are normalised to the sum 1.
     FOURD_DEVICE void blend(std::size_t point, float* out) const {
         float total = 0.0f, plain_total = 0.0f, plain[3] = {};
         for (int v = 0; v < count_; ++v) {

@@ -14,8 +14,8 @@ struct Window {
     float weights[kWindow];
 };
 
-// The sizes of the pictures, counted in floats. The channels of a row are interleaved in one array, so the step between
-// window elements is the number of channels.
+// The pictures and the window, with sizes that are counted in floats. The channels of a pixel are adjacent in memory,
+// so neighbouring pixels of a row, and the values that a window reads along the row, are `channels` floats apart.
 struct Plan {
     Pictures pictures;
     Window window;

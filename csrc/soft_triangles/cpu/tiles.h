@@ -28,8 +28,9 @@ struct Tile {
     int width, height;  // Size of the image.
 };
 
-// Scratch memory. An entry is a triangle in the list of the tile. A visit is an (entry, block) pair in which the
-// triangle hits at least one pixel of the block. All arrays except `blocks` have the visits of one block at a time.
+// Scratch memory. An entry is a triangle in the list of the tile, and a block is a group of 4 x 4 pixels of the tile.
+// Blocks are processed one after the other. A visit is an entry whose triangle hits at least one pixel of the current
+// block. `entries`, `x` and `depth` have the visits of the current block only.
 struct Visits {
     std::uint16_t* blocks;   // Shape (count,): mask of the blocks that each entry may hit.
     std::uint32_t* entries;  // Shape (count,): index of the entry of each visit.
@@ -45,8 +46,9 @@ struct Loops {
 
     void (*render)(const Tile& tile, const Visits& visits, const Image& out);
 
-    // Computes the gradient of a tile. `slots` (count,) has the index of the slot of each entry (tiles/depth_bins.h).
-    // `sums` has kShapeSums + channels floats per slot: one ShapeGradient, and then the gradient of the features.
+    // Computes the gradient of a tile. Each pair of a triangle and a tile has one slot, a row of `sums` to which the
+    // gradient of the triangle is written. slots[i] is the slot of the tile's entry i (tiles/depth_bins.h). A row has
+    // kShapeSums + channels floats: one ShapeGradient, and then the gradient of the features.
     void (*render_backward)(const Tile& tile, const Visits& visits, const ImageGradient& gradient,
                             const std::size_t* slots, float* sums);
 };

@@ -48,9 +48,12 @@ struct GradientPixel {
     struct Sums {
         float open;    // Product of 1 - D (maths.h) over the triangles of the pixel.
         float weight;  // Sum of the weights, including the weight of the background.
-        float mean;    // Sum of weight * value_of() over the triangles of the pixel, divided by the member `weight`.
+        // Weighted mean of value_of() over the triangles of the pixel and the background, which has the value 0.
+        float mean;
     };
 
+    // Returns the dot product of a triangle's features and `upstream`, the gradient of the loss with respect to the
+    // features of the pixel.
     FOURD_DEVICE float value_of(std::size_t rank, const float* upstream) const {
         const float* feature = view.features_of(rank);
         float value = 0.0f;
@@ -86,8 +89,9 @@ struct GradientPixel {
     }
 };
 
-// Computes the gradient of a triangle from gradients that were summed over pixels. Sums are indexed by rank: visible
-// triangles come first, in index order, and culled triangles come last. Culled triangles get zero gradients.
+// Computes the gradient of a triangle from gradients that were summed over pixels. Sums are indexed by rank, the
+// position in a sorted list of all triangles: visible triangles come first, in index order, and culled triangles come
+// last. Culled triangles get zero gradients.
 struct GradientTriangle {
     Entries entries;
     Mesh mesh;

@@ -34,9 +34,10 @@ struct Loops {
     std::size_t (*project)(const Mesh& mesh, const Settings& settings, std::size_t begin, std::size_t end,
                            Splat* splats, TileRange* tile_ranges, Item* items);
 
-    // Renders a tile. An entry is a triangle in the list of the tile. `best` is scratch memory of 16 floats per entry.
-    // `slots` (count,) has the index of the slot of each entry (tiles/depth_bins.h). The largest compositing weight of
-    // entry i is written to weights[slots[i]].
+    // Renders a tile. An entry is a triangle in the list of the tile. Each pair of a triangle and a tile has one slot,
+    // an index into arrays of results. slots[i] is the slot of the tile's entry i (tiles/depth_bins.h). The largest
+    // compositing weight of entry i over the pixels of the tile is written to weights[slots[i]]. `best` is scratch
+    // memory of 16 floats per entry.
     void (*render)(const Tile& tile, const Image& out, float* best, const std::size_t* slots, float* weights);
 
     // Computes the gradient of a tile. `slots` is the same as for render(). `sums` has kShapeSums + channels floats per

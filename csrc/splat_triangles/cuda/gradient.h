@@ -5,8 +5,9 @@
 
 namespace fourd::splat_triangles::cuda {
 
-// The gradient of the loss with respect to the composited channels of a pixel. splat_triangles/cpu/gradient.inc
-// explains the formula and `rest`.
+// `channel` is the gradient of the loss with respect to the composited channels of a pixel. `rest` is the quantity
+// rest_k that splat_triangles/cpu/gradient.inc defines. The constructor sets it to its value in front of the first
+// triangle.
 template <int kCapacity>
 struct Upstream {
     float channel[kCapacity];

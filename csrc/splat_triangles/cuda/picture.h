@@ -48,7 +48,7 @@ struct ProjectTriangle {
 struct View {
     Entries entries;
     int width, height, layers;
-    const float* values;  // Features and geometry, indexed by triangle.
+    const float* values;  // Features, then geometry (normal and depth), indexed by triangle.
     int channels;         // Number of values per triangle.
     int features;         // Number of features, without the geometry.
     bool geometry;

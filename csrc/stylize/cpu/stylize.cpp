@@ -12,7 +12,6 @@ namespace {
 
 // A task divides its rows into columns that are kRun pixels wide, and shades one column after another. With 8 rows, the
 // pixels that one column reads fit into the L1 cache, so pixels that the next column reads again are still there.
-// cache.
 constexpr int kRowsPerTask = 8;
 
 // Decides when the lines (strokes at depth and normal edges) in a task's rows can be drawn: all tasks with rows at most

@@ -123,8 +123,8 @@ FOURD_INLINE void add_four(const Four& from, float weight, float* to) {
 #endif
 }
 
-// For each entry, adds the gradient of the pixel, times the weight of the texel, to the sums of the pixel's texels in
-// the band.
+// For each entry and each texel that its pixel reads in the band, adds to the sum of the texel: the gradient of the
+// pixel times the weight of the texel.
 template <int Channels>
 FOURD_INLINE void add_entries(const Query& query, const Batch& b, std::size_t first, const Entry* entries,
                               const float* gradient, const BandSums& band) {

@@ -119,9 +119,10 @@ struct SampleBackward {
     }
 };
 
-// Computes the offsets, in the finer level, of the texel channels whose mean is one channel of a coarser texel. The
-// finer level has exactly `rows` rows for each row of the coarser level, so one row index can run over all faces of all
-// textures.
+// A channel of a texel of a mip level is the mean of `rows` x `columns` values of the next finer level. Computes the
+// offset of the first of these values, the steps to the next column and the next row, and the weight `share` of each
+// value. One row index runs over all faces of all textures, because the finer level has exactly `rows` rows for each
+// row of the coarser level.
 struct Mean {
     std::size_t first, next_column, next_row;
     float share;

@@ -31,10 +31,10 @@ struct Entries {
     Tiles tiles;
     Splat* by_index;             // Indexed by primitive.
     Splat* splats;               // Indexed by rank.
-    // Sort keys. The first sort uses the depths of primitives, and the second sort uses the tiles of entries.
+    // The keys and values of two sorts. The first sort puts the primitives into depth order. Its keys are the depths of
+    // the primitives, and its values are their indices. The second sort puts the entries into the order of tiles. Its
+    // keys are the tiles of the entries, and its values are the ranks of their primitives.
     std::uint32_t* keys;
-    // Sort values. The first sort uses the indices of primitives. The second sort uses, for each entry, the rank of its
-    // primitive.
     std::uint32_t* values;
     std::uint32_t* depths;       // Bits of the depth of each primitive, indexed by rank.
     std::uint32_t* indices;      // Index of the primitive of each rank.
@@ -94,8 +94,9 @@ FOURD_DEVICE static inline std::size_t lower_bound(const T* sorted, std::size_t 
     return first;
 }
 
-// Copies the splats into depth order. The kernel is also called for rank `count`, which is not a primitive, so that the
-// last element of the exclusive sum of tile_counts is the count of all entries.
+// Copies the splats into depth order and fills tile_counts. The kernel is also called for the rank `count`, which has
+// no primitive, to set the last element of tile_counts to 0. The exclusive prefix sum of tile_counts is the array
+// `begin`, so the last element of `begin` is the count of all entries.
 template <typename Splat>
 struct GatherRank {
     Entries<Splat> to;

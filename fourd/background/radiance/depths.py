@@ -31,8 +31,8 @@ MAX_QUARTILE_RATIO = 1.25
 """Maximum ratio of the upper to the lower quartile of the distances along a ray, weighted by the rendering weights.
 Above this ratio, the rendering weights are too spread out to describe a surface."""
 MAX_MEDIAN = 0.99
-"""Maximum normalised distance at which a ray's cumulative rendering weight reaches 1/2. If it is reached farther away,
-the ray is assumed to hit no surface."""
+"""Maximum normalised distance, in [0, 1] (see :func:`to_distance`), at which a ray's cumulative rendering weight
+reaches 1/2. If the weight reaches 1/2 farther away, the ray is assumed to hit no surface."""
 
 
 def add_field_depths(
@@ -44,10 +44,11 @@ def add_field_depths(
 ) -> list[Surface]:
     """Fill the unknown cells of measured surfaces with median depths of the field that another plate confirms.
 
-    A cell is confirmed if the surface of at least one other plate agrees with its depth, and if it occludes no more
-    surfaces than agree with it. Confirmed cells get support 1. Unconfirmed cells take the extrapolated depth of
-    ``continued``: where only one plate sees a surface, colours do not determine its depth, so the field's depth is the
-    extrapolated depth with added noise.
+    Let A be the number of other plates whose surfaces agree with a cell's depth, and O the number of other plates whose
+    surfaces the cell would occlude. The cell is confirmed if A >= 1 and O <= A. Confirmed cells get support 1.
+    Unconfirmed cells take the extrapolated depth of ``continued`` instead of the field's depth. Where only one plate
+    sees a surface, colours do not determine its depth, and the field only reproduces, with noise, the extrapolated
+    depth on which it was optimised.
 
     Args:
         field: the optimised field.

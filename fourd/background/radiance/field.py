@@ -19,9 +19,9 @@ MAX_LOG_DENSITY = 11.0
 class RadianceField(nn.Module):
     """Density and view-independent colour of points in space.
 
-    The colour does not depend on the view, because the field could otherwise reproduce each plate with radiance that
-    only this plate's camera sees. Densities and distances along rays use :attr:`Contraction.radius` as the unit of
-    length.
+    The colour does not depend on the view. Otherwise, the field could fit each plate with radiance that only this
+    plate's camera sees, even if the geometry is wrong. Densities and distances along rays use
+    :attr:`Contraction.radius` as the unit of length.
     """
 
     def __init__(self, shape: HashGridShape, contraction: Contraction, hidden: int) -> None:

@@ -28,11 +28,12 @@ from fourd.progress import Log, Track, untracked
 Array = NDArray[np.float64]
 
 FEW_SHARE = 0.1
-"""If the fraction of visible depth-map cells with a measured depth is below this value, a rough shape of the room
-guides the extrapolation of depths. If the fraction with a confirmed depth is below it, the log calls the result a rough
-estimate."""
+"""Limit for two fractions of the depth-map cells outside the plates' holes. If the fraction with a measured depth is
+below the limit, a rough shape of the room guides the extrapolation of depths. If the fraction with a confirmed depth is
+below the limit, the log calls the result a rough estimate."""
 MIN_SHARE = 0.01
-"""If the fraction of visible depth-map cells with a confirmed depth is below this value, an error is raised."""
+"""If the fraction of depth-map cells with a confirmed depth, among all cells outside the plates' holes, is below this
+value, an error is raised."""
 
 
 def seed_from_radiance(
@@ -48,9 +49,9 @@ def seed_from_radiance(
     """Create coloured points of a static background. The points are evenly spread over the plates' images.
 
     Stereo measures depths where two plates match (:mod:`fourd.background.stereo`); elsewhere, depths are extrapolated.
-    A radiance field (Mueller et al. 2022) is then optimised on the plates' colours and on these depths. It needs the
-    depths because, with cameras 20 degrees apart, it would otherwise reproduce each plate with radiance that only this
-    plate's camera sees. In depth-map cells without stereo depth, the field's median depth is used if another plate
+    A radiance field (Mueller et al. 2022) is then optimised on the plates' colours and on these depths. With cameras 20
+    degrees apart, colours alone do not determine the geometry: the field would fit each plate with structures that only
+    this plate's camera sees. In depth-map cells without stereo depth, the field's median depth is used if another plate
     confirms it. The same input, seed and number of torch threads give the same points.
 
     Args:
@@ -95,7 +96,7 @@ def seed_from_radiance(
 
 
 def _estimate_surfaces(stereo: StereoResult, config: RadianceConfig, seed: int, track: Track) -> list[Surface]:
-    """Create a surface for each plate, whose depths are measured, rendered from the field, or extrapolated."""
+    """Create one surface per plate. Each depth of a surface is measured, rendered from the field, or extrapolated."""
     cameras = [plate.camera for plate in stereo.plates]
     views = [plate.grey_view() for plate in stereo.plates]
     centre = viewing_centre(cameras)

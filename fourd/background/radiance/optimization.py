@@ -20,8 +20,8 @@ from fourd.progress import Track, untracked
 FINAL_RATE_FACTOR = 0.1
 WARM_UP = 50
 OPAQUE_LENGTH = 1e6
-"""Length of each ray's last interval, in units of the contraction's radius. It is so long that every ray becomes
-opaque, because if rays could be partly transparent, the optimisation would create fog in front of the cameras."""
+"""Length of each ray's last interval, in units of the contraction's radius. This large length makes every ray opaque.
+If rays could stay partly transparent, the optimisation would create fog in front of the cameras."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """A rough shape of the room that guides the extrapolation of depths.
 
-The shape is stored as one distance per direction. Unknown distances are interpolated, mainly in the horizontal
-direction.
+The shape is stored as the distance of the surrounding surfaces from one point, the room's centre, for each direction.
+Unknown distances are interpolated, mainly in the horizontal direction.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from fourd.cameras import Camera
 Array = NDArray[np.float64]
 
 NEAR, FAR = 0.02, 100.0
-"""First and last depth of ray marching, as multiples of the camera's distance from the centre."""
+"""First and last depth of ray marching, as multiples of the camera's distance from the room's centre."""
 MIN_KNOWN = 0.1
-"""Minimum fraction of depth-map cells with known depth. Below it, the room's shape is unreliable, and the room is
-enlarged until it contains a large ball around the centre, except for the part of the ball below the floor."""
+"""Minimum fraction of depth-map cells with known depth. Below it, the room's shape is unreliable. The room is then
+enlarged such that it contains a large ball around its centre. Only the part of the ball above the floor counts."""
 HALL_RADIUS = 1.5
 """Radius of the ball that a room with an unreliable shape must contain, as a multiple of the farthest camera's distance
-from the centre."""
+from the room's centre."""
 FLOOR_PERCENTILE = 2.0
 """Percentile of the measured heights that is used as the floor height."""
 STEPS = 32

@@ -152,8 +152,8 @@ def _estimate_maps(
 
 
 def _depth_ranges(cameras: Sequence[Camera], xyz: Array) -> list[tuple[float, float]]:
-    """Compute the depth range of each camera from the triangulated points in its image. If there are too few, the
-    depths of all cameras are used."""
+    """Compute the depth range of each camera from the depths of the triangulated points in its image. If its image
+    contains too few points, the range is computed from the points in all images."""
     depths = []
     for camera in cameras:
         pixels, depth = camera.project(xyz)

@@ -24,7 +24,7 @@ Bools = NDArray[np.bool_]
 MIN_SCORE = 0.6
 """Minimum photometric score of a cell."""
 DEPTH_TOLERANCE = 0.01
-"""Maximum relative depth difference between a surface and a point at which the point counts as lying on the surface."""
+"""A point lies on a surface if their relative depth difference is less than this value."""
 REPROJECTION_TOLERANCE_PX = 1.5
 """Maximum forward-backward error in pixels. To compute it, a cell's centre is projected into another image, and that
 image's surface point at this pixel is projected back into the cell's image. The error is the distance between the
@@ -35,8 +35,8 @@ ITERATIONS = 3
 MIN_COMPONENT_CELLS = 25
 """Minimum number of cells in a connected component. Components with fewer cells are outliers."""
 CONTINUITY_TOLERANCE = 0.03
-"""Maximum relative error of the inverse depth that a cell's plane predicts at a neighbouring cell, up to which the two
-cells are connected."""
+"""Two neighbouring cells are connected if the plane of one cell predicts the inverse depth of the other with a relative
+error below this value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +107,9 @@ def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list
     """Remove those cells of depth maps that are inconsistent with other depth maps.
 
     A cell is kept if the number of other images that confirm it is at least 1 and exceeds the number of images whose
-    known surface it occludes. One confirmation is enough, because often only two cameras see a wall; on such a surface,
-    one in 60 cells is confirmed although its depth is wrong. Connected components of fewer than 25 cells are removed.
+    known surface it occludes. One confirmation is enough, because often only two cameras see a wall. This causes some
+    errors: on such a wall, one in 60 cells has a wrong depth that is nevertheless confirmed. Connected components of
+    fewer than 25 cells are removed.
     """
     surfaces = [
         Surface(camera, depths, depths.scores > MIN_SCORE, np.zeros(len(depths.scores), np.intp))

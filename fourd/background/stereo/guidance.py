@@ -19,10 +19,10 @@ from fourd.background.stereo.patches import Floats, GreyView
 Array = NDArray[np.float64]
 
 GUIDE_WEIGHT = 0.01
-"""Weight with which the interpolation of the correction includes the value 0, so that the correction decays with the
-distance from known cells. If almost all cells are known, it decays to one half over seven cells. The weight is divided
-by the square of the fraction of known cells: if few cells are known, they are unreliable, and the correction decays
-faster."""
+"""Weight of the value 0 when the correction (known inverse depth minus the guide's inverse depth) is interpolated into
+unknown cells. It makes the correction decay with the distance from known cells. With this weight, the correction halves
+every seven cells. If few cells are known, they are unreliable, and the correction must decay faster; therefore, the
+weight is divided by the square of the fraction of known cells."""
 MIN_GUIDE_FACTOR = 0.25
 """Minimum of the corrected inverse depth, as a multiple of the guide's inverse depth. It prevents the correction from
 making the inverse depth negative."""
@@ -56,8 +56,8 @@ def _complete(surface: Surface, view: GreyView, guide: Array, xyz: Array) -> Sur
 
 
 def _correct_guide(known: Array, guide: Array, grey: Floats) -> Array:
-    """Complete the known inverse depths (R, C), in which 0 marks unknown cells. These get the guide's inverse depth
-    plus the extrapolated correction."""
+    """Complete the known inverse depths (R, C), in which 0 marks unknown cells. The unknown cells get the guide's
+    inverse depth plus the extrapolated correction."""
     unknown = known == 0
     if unknown.all():
         return guide

@@ -113,8 +113,8 @@ def index_intrinsics(camera: Camera) -> NDArray[np.float64]:
 
 
 class PatchSimilarity:
-    """Scores planes for the cells of one image, by comparing the window around a cell with the parts of the source
-    images to which the plane maps it."""
+    """Scores planes for the cells of one image. A plane maps the window around a cell to a part of each source image.
+    The score measures the similarity between the window and these parts."""
 
     def __init__(self, view: GreyView, sources: Sequence[GreyView], grid: Grid) -> None:
         """Sample the windows of ``view`` at the cells of ``grid`` for comparison with ``sources``."""

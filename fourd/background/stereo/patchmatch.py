@@ -25,8 +25,8 @@ where the angle is about 87 degrees."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 4), (0, -4), (4, 0), (-4, 0))
 """Offsets (rows, columns) from a cell to the neighbours whose planes are propagated to it."""
 SAME_DEPTH = 1e-3
-"""Minimum relative difference in inverse depth between a neighbour's plane and the cell's current plane, for which the
-neighbour's plane is tried."""
+"""A neighbour's plane is tried only if the inverse depth that it gives at the cell differs from the cell's current
+inverse depth by more than this fraction."""
 
 
 @dataclass(frozen=True, eq=False)

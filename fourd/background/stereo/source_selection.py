@@ -18,9 +18,10 @@ BEST_ANGLE_DEG = 15.0
 ANGLE_SPREAD = 0.9
 """Half width at half maximum of a source camera's score, which is a bell-shaped function of ln(angle). The angle is
 measured at a point, between the rays to the source camera and to the reference camera. The score is 1 at 15 degrees,
-1/2 at 6 and at 37 degrees, and 1/7 at 130 degrees (a floor that is seen from the opposite side)."""
+1/2 at 6 and at 37 degrees, and 1/7 at 130 degrees, for example if the two cameras see a floor from opposite sides."""
 MIN_GAIN = 0.01
-"""Minimum increase of the objective, divided by the number of sampled points, for which a source camera is added."""
+"""The selection ends when no camera increases the objective, which :func:`select_sources` defines, by at least this
+value per sampled point."""
 
 
 def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthest: float) -> list[int]:

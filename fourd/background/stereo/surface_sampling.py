@@ -14,18 +14,18 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 SAME_SURFACE = 0.05
-"""Maximum relative depth difference between a sample of one image and the surface of another image, up to which the
-sample also counts as a sample of that surface."""
+"""A sample of one image also counts as a sample of another image's surface if the relative difference between its depth
+and the surface's depth is below this value."""
 BISECTION_STEPS = 8
 MIN_SIDE_PX = 1.0
 """Minimum side length, in pixels, of the squares into which :func:`sample_surfaces` divides the images."""
 EDGE_TOLERANCE = 0.05
-"""Maximum relative error of the inverse depth that a cell's plane predicts at its neighbours along an axis. A cell is
-at a depth edge if the errors on both sides exceed it."""
+"""A cell is at a depth edge if, along one of the image axes, its plane predicts the inverse depth of both neighbours
+with a relative error above this value."""
 MAX_PARTS = 2
 """Maximum number of parts into which a square is divided along each axis. More parts would close all gaps between
-points on steep surfaces, but each point of a floor would hide the lower half of the points behind it, which would shift
-the floor's texture upwards in the image by half the size of a point."""
+points on steep surfaces, but would shift the texture of a floor upwards in the image by half the size of a point,
+because each point of the floor would hide the lower half of the points behind it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +54,10 @@ def sample_surfaces(surfaces: Sequence[Surface], seen: Sequence[Bools], points: 
     divided into parts if the image's camera sees its surface at a grazing angle, because cameras that see the surface
     less obliquely would otherwise see gaps between the samples.
 
-    The centre of each part is sampled if ``seen`` (H, W) is true there and no earlier sample, from any image, lies on
-    the surface within the part. Near objects therefore get more points than far ones, but the number of points does not
-    depend on how many images show a surface. Cells that other images confirm are sampled before extrapolated cells.
+    The centre of each part is sampled if ``seen`` (H, W) is true there and the part has no sample yet. An earlier
+    sample, from any image, counts if it projects into the part and its depth agrees with the surface's depth. Near
+    objects therefore get more points than far ones, but the number of points does not depend on how many images show a
+    surface. Cells that other images confirm are sampled before extrapolated cells.
 
     Returns:
         the samples of each image.

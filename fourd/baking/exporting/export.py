@@ -111,8 +111,8 @@ def export_scene(scene: Scene, out: Path, settings: ExportSettings, track: Track
 
 
 def list_files(out: Path, settings: ExportSettings, manifest: SceneManifest) -> list[Path]:
-    """Return the files of the frames. If ``out`` has the suffix of the format, it is the only file. Otherwise, they are
-    in the folder ``out``, or in ``out/frames`` for USD.
+    """Return the files of the frames. If ``out`` has the suffix of the format, it is the only file. Otherwise, the
+    files are in the folder ``out``, or in ``out/frames`` for USD.
 
     Each file name ends in the frame's number in the capture, so that other programs recognise the sequence.
     """
@@ -162,7 +162,7 @@ def _rotation(manifest: SceneManifest, settings: ExportSettings) -> NDArray[np.f
 
 
 class _LossMeter:
-    """Measures the PSNR of a scene's exported colours against its own colours, for some frames and viewpoints."""
+    """Measures the PSNR of exported colours against the scene's original colours, for some frames and viewpoints."""
 
     def __init__(self, manifest: SceneManifest, frames: Sequence[int]) -> None:
         self._manifest = replace(

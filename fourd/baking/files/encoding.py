@@ -1,4 +1,4 @@
-"""Quantisation parameters of the points of a packed scene."""
+"""Quantisation parameters of the points of a packed scene (a `.4dv` with quantised and compressed points)."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class CloudEncoding:
         density_levels: code of the density 1, at most 255. Code c is the density c / ``density_levels``.
         sh_basis: (K, 48) float32, orthonormal basis vectors as rows, each with 16 coefficients for red, then 16 for
             green, then 16 for blue. The spherical-harmonics coefficients of a point are ``sh_mean`` plus a weighted sum
-            of the basis vectors, whose weights, called factors, are stored for each point.
+            of the basis vectors. Each point stores K weights, which are called factors.
         sh_mean: (48,) float32, mean of the coefficients.
         sh_step: quantisation step of the factors.
         weight_steps: number of codes for each halving of the blend weight. Code 1 is the point's largest blend weight,

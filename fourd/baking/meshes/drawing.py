@@ -123,8 +123,9 @@ def _sample_cameras(camera: Camera, samples: int) -> Iterator[Camera]:
 
 
 def _clip(xyz: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Return clip coordinates (V, 4). The far plane lies behind all vertices. The near plane lies before all vertices
-    in front of the camera, but at no less than ``_NEAR_SHARE`` times the far plane's depth."""
+    """Return clip coordinates (V, 4). The far plane lies behind all vertices. The near plane lies between the camera
+    and the nearest vertex in front of it. If its depth would be less than ``_NEAR_SHARE`` times the far plane's depth,
+    it is moved to this depth and can clip vertices."""
     points = xyz.astype(np.float64) @ camera.rotation.T + camera.translation
     depth = points[:, 2]
     in_front = depth[depth > 0]

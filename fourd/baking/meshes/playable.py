@@ -24,9 +24,9 @@ class PlayableMeshes:
     """One mesh, or a sequence of meshes, and a ring of cameras around the common bounding box of the first, middle and
     last mesh.
 
-    The class implements :class:`fourd.baking.playable.Playable`. While the camera does not move, lines fade in and have
-    a hysteresis, as in :class:`fourd.baking.styled.player.StyledPlayer`, but depths and normals are not averaged over
-    time.
+    The class implements :class:`fourd.baking.playable.Playable`. To reduce flicker while the camera does not move, the
+    lines of a style fade in, and their thresholds have a hysteresis, as in
+    :class:`fourd.baking.styled.player.StyledPlayer`. Unlike there, depths and normals are not averaged over time.
 
     Args:
         path: a GLB or PLY file, or a folder with one file for each frame.

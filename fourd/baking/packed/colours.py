@@ -22,11 +22,11 @@ def mean_colours(frame: BakedFrame) -> NDArray[np.uint8]:
 
 
 def fill_unseen_colours(frame: BakedFrame) -> BakedFrame:
-    """Return the frame with each point's colour replaced by its mean colour in the views in which its blend weight is
-    0.
+    """Return the frame with new colours in the views in which a point's blend weight is 0: there, the point gets its
+    mean colour.
 
-    Such a view does not see the point, so the stored colour belongs to another surface. Shading uses it only if the
-    point's blend weights in all selected views are 0.
+    Such a view does not see the point, so the replaced colour belongs to another surface. Shading uses the colour in
+    such a view only if the point's blend weights in all selected views are 0.
     """
     if frame.view_count == 0:
         return frame

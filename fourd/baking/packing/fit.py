@@ -57,8 +57,8 @@ def merge_samples(samples: Iterable[CloudSamples]) -> CloudSamples:
 
 
 def sample_cloud(frame: BakedFrame, frames: int = 1) -> CloudSamples:
-    """Sample the points of one frame at equally spaced indices. ``frames`` is the number of all frames that are
-    sampled, on which the number of samples per frame depends."""
+    """Sample the points of one frame at equally spaced indices. ``frames`` is the number of all sampled frames. With
+    more frames, fewer points are sampled per frame."""
     if frame.point_count == 0:
         nothing = np.zeros(0, np.float32)
         return CloudSamples(

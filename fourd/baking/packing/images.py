@@ -36,8 +36,8 @@ from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.cameras import Camera
 
 BLURS = (2.0, 1.0, 0.7, 0.0, 0.0)
-"""Standard deviation, in texels, of the blur of each successive correction of a fitted plane. The first corrections are
-blurred most, to fill the gaps between points."""
+"""Standard deviation, in texels, of the blur in each iteration of :func:`fit_plane`, which blurs the correction that it
+adds to the plane. The first iterations blur most, to fill the gaps between points."""
 _OPTIONS = {"b": "0", "lag-in-frames": "0", "deadline": "good", "cpu-used": "1", "aq-mode": "0"}
 """Options of libvpx-vp9: constant quality, and a packet for each frame."""
 _DAMPING = 0.02
@@ -49,10 +49,12 @@ _TO_YCC = np.linalg.inv(_FROM_YCC).astype(np.float32)
 
 
 def choose_scale(cloud: BakedFrame, manifest: SceneManifest, precision: Precision) -> float | None:
-    """Return the scale of the images for a typical cloud, or None if the tier has no images.
+    """Choose the scale of the images from ``cloud``, which is a typical frame or the background. Returns None if the
+    tier has no images.
 
-    The scale is chosen such that, in the view with the largest median radius of visible points in pixels, this radius
-    is ``precision.texels_per_radius`` texels. The images have at most the resolution of the cameras.
+    For each view, the median radius of the visible points in pixels is computed. The scale is chosen such that the
+    largest of these medians spans ``precision.texels_per_radius`` texels. The images have at most the resolution of the
+    cameras.
     """
     if precision.crf is None or manifest.view_count == 0:
         return None

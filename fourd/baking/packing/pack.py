@@ -35,7 +35,7 @@ class PackReport:
         parts: for each kind of member, such as "points" or "views", the mean compressed size per frame in bytes. For
             "background", the total size, because the background is stored once.
         streamed: mean compressed size, in bytes per frame, of the members that a player fetches for one viewing camera:
-            those of ``neighbours`` source views, and all that do not belong to a source view.
+            the members of ``neighbours`` source views, and all members that do not belong to a source view.
         colour_psnr: PSNR, in dB, of the colours in the source views against those of the source scene. None if the tier
             does not store them as images.
     """
@@ -177,8 +177,8 @@ class _Packer:
     def _prepare(self, cloud: BakedFrame, *, is_background: bool = False) -> BakedFrame:
         """Convert a cloud for the tier, with normals if the packed scene has them.
 
-        Normals are estimated before the conversion, because they need the source views, which show the outer side of a
-        surface and which the conversion for the tier "light" removes.
+        Normals are estimated before the conversion: they are oriented towards the source views that see a surface, and
+        the conversion for the tier "light" removes the source views.
         """
         if not self.has_normals:
             return self.convert(replace(cloud, normals=None))

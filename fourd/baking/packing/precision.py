@@ -11,8 +11,8 @@ from fourd.baking.packed.members import ColourRounding
 
 @dataclass(frozen=True)
 class Precision:
-    """Quantisation steps and thresholds of one level of a tier. See :class:`fourd.baking.files.encoding.CloudEncoding`
-    for the undocumented fields.
+    """Quantisation steps and thresholds of one level of a tier. The fields that are not listed here have the meaning
+    that they have in :class:`fourd.baking.files.encoding.CloudEncoding`.
 
     Attributes:
         positions_per_radius: number of quantisation steps of the positions within the median radius of the points.
@@ -20,13 +20,13 @@ class Precision:
             which range from -255 to 255, are divided by it and stored as signed bytes.
         mean_colour_step: step to which mean colours are rounded, in units of 1/255.
         unseen_colour_step: step to which a point's colours are rounded in views with a blend weight of 0, in units of
-            1/255. If None, they are replaced by the point's mean colour.
+            1/255. If None, these colours are replaced by the point's mean colour.
         min_visibility: dynamic points are left out if their visibility, in [0, 1], is below this minimum in all views
             of :func:`fourd.baking.colour_fit.viewpoints`.
         crf: constant quality of the source-view images, from 0 (best) to 63. If None, the colours are stored for each
             point instead.
-        texels_per_radius: number of image texels that the median radius of the points spans, in the source view with
-            the largest median radius in pixels.
+        texels_per_radius: number of image texels that the median radius of the visible points spans, in the source view
+            in which this radius is largest in pixels.
     """
 
     positions_per_radius: int

@@ -67,8 +67,8 @@ def cloud_from_points(points: ColouredPoints) -> SplatCloud:
 def frame_from_splats(cloud: SplatCloud) -> BakedFrame:
     """Return points that look like a cloud of splats, for a scene without source views.
 
-    Because fourd's points are round, an elongated splat (much longer than its middle axis) is replaced by several
-    points along its longest axis. Its shortest axis is ignored, so flat splats become thicker.
+    Because fourd's points are round, an elongated splat, whose longest axis is much longer than its middle axis, is
+    replaced by several points along its longest axis. The shortest axis is ignored, so flat splats become thicker.
     """
     order = np.argsort(-cloud.scale, axis=1)
     scale = np.take_along_axis(cloud.scale, order, axis=1)

@@ -21,8 +21,8 @@ def add_normals(frame: BakedFrame, manifest: SceneManifest, *, is_background: bo
     see.
 
     Args:
-        is_background: whether the points surround the cameras. If true, the normals of points that no source camera
-            sees point towards the source cameras.
+        is_background: whether the points surround the cameras. If true, points that no source camera sees get normals
+            that are directed towards the source cameras.
     """
     return replace(frame, normals=_estimate(frame.xyz, frame.blend_weights, manifest, is_background))
 

@@ -106,8 +106,8 @@ class StyledPlayer:
         threads: int = 0,
         out: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.uint8]:
-        """Draw a frame in a style as an (H, W, 4) uint8 image. The channels are RGB, composited over the
-        paper, and alpha.
+        """Draw a frame in a style as an (H, W, 4) uint8 image. The channels are RGB and alpha. RGB is composited over
+        the paper, which is the style's background.
 
         The arguments are those of :meth:`fourd.baking.player.Player.draw`. ``background`` is the paper colour for
         styles that define no paper. Raises UserError if the style's shade map cannot be read.

@@ -13,9 +13,9 @@ from fourd.board_calibration.adjustment.rig import Poses
 Array = NDArray[np.float64]
 
 HALF_WINDOW = 2
-"""Maximum number of frames on each side of a frame from which the motion at this frame is computed."""
+"""The motion at a frame is computed from this frame and at most this number of frames on each side of it."""
 END_WINDOW = 3
-"""Number of frames from which the motion at the first and at the last frame of a sequence is computed."""
+"""At the first and at the last frame of a sequence, the motion is computed from at most this number of frames."""
 MAX_GAP = 2
 """Longest time between two successive frames of a sequence, as a multiple of the median time. At longer gaps, the
 sequence is divided, because the motion between the two frames is unknown."""

@@ -3,8 +3,9 @@ errors.
 
 The corners of one image share errors because of a bent board, motion blur, or an exposure that does not start exactly
 at the frame's time. The shared errors are described as a small random rotation, shift and delay of the board in each
-view. The variances of the shared errors are estimated together with the rig by expectation maximisation (Dempster,
-Laird and Rubin 1977; Harville, Maximum likelihood approaches to variance component estimation, 1977).
+view (one camera's image of the board). The variances of the shared errors are estimated together with the rig by
+expectation maximisation (Dempster, Laird and Rubin 1977; Harville, Maximum likelihood approaches to variance component
+estimation, 1977).
 """
 
 from __future__ import annotations
@@ -174,8 +175,12 @@ def estimate_noise(
 
 
 def _independent(views: Views, grams: Array, before: Array) -> Array:
-    """Return the standard deviations (C,), in pixels, of the independent errors, computed from the views' Gram
-    matrices."""
+    """Return the standard deviations (C,), in pixels, of the independent errors.
+
+    ``grams`` (V, 14, 14) contains, for each view, the Gram matrix of 14 vectors: the derivatives of the pixels with
+    respect to the board's pose (6) and to the shared errors (7), and the residuals (1). ``before`` (C,) are the old
+    values, which are kept for cameras with too few corners.
+    """
     pose, last = slice(0, BOARD_PARAMETERS), BOARD_PARAMETERS + SHARED
     damped = grams[:, pose, pose] + 1e-9 * np.eye(BOARD_PARAMETERS)
     explained = np.linalg.solve(damped, grams[:, pose, last, None])[..., 0]

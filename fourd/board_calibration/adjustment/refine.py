@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 
 ROUNDS = 10
 STEPS = 2
-"""Largest number of steps per round. The last adjustment has the larger limit of :func:`solve_rig`."""
+"""Largest number of solver steps in each round of :func:`refine_rig`. The final adjustment after the rounds has the
+larger default limit of :func:`solve_rig`."""
 DAMPING = 1e-6
 """Initial damping factor of each round."""
 HUBER = 1.0

@@ -1,9 +1,10 @@
 """Bundle adjustment of a rig, the shape of a board and its positions.
 
 The solver is the Levenberg-Marquardt algorithm. Iteratively reweighted least squares implement the Huber loss. The
-shared errors of each view and the poses of the board are eliminated by Schur complements (Triggs et al., Bundle
-Adjustment - a Modern Synthesis, 2000, sec. 6.1), so the computing time grows linearly with the number of frames. The
-covariance of the cameras' parameters is computed from the matrix of the reduced normal equations.
+errors that all corners of one image share (see :mod:`fourd.board_calibration.adjustment.noise`) and the poses of the
+board are eliminated by Schur complements (Triggs et al., Bundle Adjustment - a Modern Synthesis, 2000, sec. 6.1), so
+the computing time grows linearly with the number of frames. The covariance of the cameras' parameters is computed from
+the matrix of the reduced normal equations.
 """
 
 from __future__ import annotations
@@ -216,8 +217,8 @@ def standard_deviations(state: RigState, corners: Corners, free: Free, errors: E
     scale = 1 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
     inverse = np.linalg.pinv(reduced * np.outer(scale, scale), rcond=1e-14, hermitian=True) * np.outer(scale, scale)
     scores = plain.gradients - np.einsum("fij,fj->fi", eliminated, plain.rhs_boards)
-    # The prior's mean is uncertain, so the prior's gradient, ``precision`` times the offset from the mean, has the
-    # covariance ``precision``, which is added.
+    # The covariance of the prior's gradient is added. This gradient is ``precision`` times the offset from the prior's
+    # mean. The covariance of the offset is the inverse of ``precision``, so that of the gradient is ``precision``.
     precision, _ = _prior(state, free)
     covariance = inverse @ (scores.T @ scores / _curvature(weights.corner) ** 2 + precision) @ inverse
     variance = np.diag(covariance)[: free.cameras.size].reshape(free.cameras.shape)

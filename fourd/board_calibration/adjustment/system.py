@@ -1,4 +1,5 @@
-"""Normal equations of a rig, summed over views. The errors that all corners of a view share are eliminated per view.
+"""Normal equations of a rig, summed over views. A view is one camera's image of the board in one frame. The errors that
+all corners of a view share are eliminated per view.
 
 The unknowns are the C cameras (17 parameters each), the shape of a board with K corners (3 * K + 1 parameters) and the
 F positions of the board (6 parameters each).
@@ -72,8 +73,8 @@ class System:
         return step, np.einsum("fij,fj->fi", inverse, rest)
 
     def predicted_decrease(self, shared: Array, boards: Array) -> float:
-        """Return the scalar product of a step and the right-hand side: a lower bound on the decrease of the cost's
-        quadratic model in the step."""
+        """Return the scalar product of a step and the right-hand side. It is a lower bound on the amount by which the
+        step decreases the quadratic model of the cost."""
         return float(self.rhs_shared @ shared + np.sum(self.rhs_boards * boards))
 
     def reduce(self, damping: float) -> tuple[Array, Array]:
@@ -144,8 +145,10 @@ def squared_error(
 
 
 def _eliminate(padded: Array, std: Array, weight: Array) -> Array:
-    """Return the Gram matrices (V, Q, Q) of the first Q of the Q + 7 columns of ``padded``, after eliminating the
-    shared errors, to which the last seven columns belong."""
+    """Return one Gram matrix (Q, Q) per view, as an array (V, Q, Q), without the shared errors.
+
+    ``padded`` has Q + 7 columns. The last seven belong to the shared errors and are eliminated with a Schur complement.
+    """
     kept = padded[..., :-SHARED]
     gram = np.swapaxes(kept, 1, 2) @ kept
     if not std.any():

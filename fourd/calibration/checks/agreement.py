@@ -121,7 +121,8 @@ def _match_unmatched(
     """Match each camera without matches again, this time with all other cameras, because its calibration may be so
     wrong that its neighbours were chosen wrongly.
 
-    Nothing is done if exactly one camera has no matches, or if more than a quarter of all cameras have no matches.
+    This is done only if at least two cameras, but at most a quarter of all cameras, have no matches. It is not needed
+    for up to 8 cameras, because all their pairs have been matched.
     """
     used = {index for pair, found in matches.items() if len(found) >= MIN_MATCHES for index in pair}
     lone = [index for index in range(len(cameras)) if index not in used]

@@ -19,9 +19,10 @@ from fourd.cameras import Camera
 
 MIN_MATCHES = 16
 MIN_SHARE = 0.6
-"""Minimum fraction of matches with small residuals after the correction of an accepted hypothesis."""
+"""A hypothesis is accepted only if, after the correction, at least this fraction of matches has small residuals."""
 MAX_SHARE_RATIO = 0.6
-"""Maximum ratio between the fractions of matches with small residuals before and after the correction."""
+"""A hypothesis is accepted only if the fraction of matches with small residuals before the correction is at most this
+multiple of the fraction after it."""
 MAX_MIXUPS = 4
 MAX_SUSPECTS = 8
 

@@ -54,8 +54,8 @@ class Arguments:
     points cover the whole visual hull."""
     inset: float = 0.0
     """Distance by which points are moved into the visual hull, in multiples of the mean distance between neighbouring
-    points. A value above 0 anticipates training, which moves points inwards because each point is drawn as a disc that
-    extends beyond it."""
+    points. Training moves points inwards, because they are drawn as discs, and discs around points on the surface
+    extend beyond the surface. With a value above 0, points start nearer to their trained positions."""
     scale: float = 1.0
     """Scale factor of the images. A factor of 0.5 halves width and height."""
     seed: int = 0

@@ -38,8 +38,8 @@ class Arguments:
     """Index of the frame in the capture, from 0."""
     views: Views = None
     test_views: Annotated[str | None, option("NAME,NAME", "none")] = None
-    """Names of held-out cameras, separated by commas. They are not used to fit the mesh; its scores in their views are
-    printed."""
+    """Names of held-out cameras, separated by commas. Their images are not used to fit the mesh. The mesh is compared
+    with these images, and the scores are printed."""
     scale: float = 1.0
     """Scale factor of the images. A factor of 0.5 halves width and height."""
     triangles: int = TriangleSettings.triangles

@@ -78,7 +78,7 @@ class Arguments:
     written to OUT/.fourd/sync.png."""
     apply_sync: bool = False
     """Estimate the videos' time offsets, and apply those with a confidence of at least 0.5. Offsets that are estimated
-    from motion must also exceed 3 frames."""
+    from motion are applied only if they also exceed 3 frames."""
     sync_by: Annotated[
         SyncMethod,
         describe(
@@ -185,8 +185,8 @@ def _sound_position(text: str) -> SoundPosition:
 
 
 def _scale(words: Sequence[str]) -> tuple[Distance | None, float]:
-    """Parse the values of --scale. Returns the known distance between two cameras, or None, and the scale factor of the
-    frames."""
+    """Parse the values of --scale: at most one known distance between two cameras, and at most one scale factor of the
+    frames. Returns the distance, or None, and the factor, which is 1 by default."""
     distances = [_distance(word) for word in words if "=" in word or "," in word]
     factors = [word for word in words if "=" not in word and "," not in word]
     if len(distances) > 1 or len(factors) > 1:

@@ -32,7 +32,7 @@ class Arguments:
     port: int = 8000
     """Port to listen on. 0 selects a free port."""
     host: str = "127.0.0.1"
-    """Address to listen on. Use 0.0.0.0 to let other machines connect. The page of a run needs a token if they can."""
+    """Address to listen on. Use 0.0.0.0 to let other machines connect; the page of a run then needs a token."""
     token: Annotated[
         str | None,
         option(

@@ -23,7 +23,8 @@ class Arguments:
     """Writes a folder of static files: a page, a poster image, the player and the scene."""
 
     scene: ScenePath
-    """The .4dv file to show, of any version. A packed scene keeps its tier; --tier has no effect on it."""
+    """The .4dv file to show, of any version. If the scene is already packed, it keeps its tier, and --tier is
+    ignored."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The folder to write. An earlier site in this folder is replaced."""
     tier: Annotated[Tier, describe(*TIER_HELP)] = "stream"
@@ -32,8 +33,8 @@ class Arguments:
     max_mbps: MaxMbps = None
     style: PageStyles = ()
     normals: bool = True
-    """Store normals, which styles need. If the scene has no normals, they are estimated. With --no-normals, the page
-    shows no styles."""
+    """Store normals, which the page needs to draw the scene in cartoon styles. If the scene has no normals, they are
+    estimated. With --no-normals, the page offers no styles."""
 
 
 def run(arguments: Arguments) -> None:
@@ -68,8 +69,8 @@ def run(arguments: Arguments) -> None:
 
 
 def _choose(scene: Path, max_mbps: float, track: Track) -> Choice:
-    """Choose the best tier and level at which a web page can play an unpacked scene without pauses over a connection of
-    ``max_mbps`` Mbit/s."""
+    """Choose the best encoding, a tier and a level (set of quantisation steps), with which a web page can play an
+    unpacked scene without pauses over a connection of ``max_mbps`` Mbit/s."""
     reader = SceneReader(scene)
     is_packed = reader.manifest.encoding is not None
     reader.close()

@@ -175,9 +175,10 @@ class Scores:
 
 
 def dilate(picture: Floats, width: int) -> Floats:
-    """Apply a maximum filter over squares with a side of ``width`` pixels, the width of a voxel's projection.
+    """Apply a maximum filter over squares with a side of ``width`` pixels.
 
-    The maximum is used because a voxel counts as occupied if the subject is anywhere in the voxel's projection.
+    ``width`` is the width of a voxel's projection. The maximum is used because a voxel counts as occupied if the
+    subject is anywhere in the voxel's projection.
     """
     return picture if width <= 1 else np.asarray(cv2.dilate(picture, _square(width)), np.float32)
 

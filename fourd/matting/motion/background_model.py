@@ -18,7 +18,8 @@ SHADOW_BRIGHTEST = 1.1
 MIN_SHARE = 0.002
 """Lower limit of the learned fractions in :class:`Deviations`.
 
-The limit is above 0, because some deviations do not occur in the frames from which the fractions are learned.
+The limit is above 0, because a deviation that does not occur in the frames from which the fractions are learned can
+still occur in other frames.
 """
 PRIOR_PIXELS = 500.0
 """Weight of the default fractions when the fractions are learned, as a number of pixels."""
@@ -75,8 +76,8 @@ class BackgroundModel:
         """Return two log densities (h, w) of each pixel's colour in an image (h, w, 3): one for an unshaded background
         and one for a shaded background.
 
-        The light on a shaded pixel is unknown and has a uniform prior from SHADOW_DARKEST to SHADOW_BRIGHTEST, so the
-        density is an integral over the light, which is computed by Laplace's approximation.
+        The light on a shaded pixel is unknown and has a uniform prior from SHADOW_DARKEST to SHADOW_BRIGHTEST. The
+        second density is therefore an integral over the light. It is computed by Laplace's approximation.
         """
         scale = -0.5 * channel_sum(np.log(self.variance)) - np.float32(1.5 * LOG_TWO_PI)
         inverse: Floats = (1 / self.variance).astype(np.float32)
@@ -139,8 +140,9 @@ def fit_deviations(plain: Floats, shaded: Floats, changed: Floats) -> Deviations
 def fit_background(rgb: Picture, weights: Floats, noise: float) -> BackgroundModel:
     """Fit a background model to frames.
 
-    At each pixel, the frame is chosen for which the total weight of all frames with a similar colour is largest. The
-    model is the weighted mean and variance of the colours that are similar to the chosen frame's colour.
+    At each pixel, the most frequent colour is found: for each frame, the weights of all frames with a similar colour
+    are summed, and the frame with the largest sum is chosen. The model is the weighted mean and variance of the colours
+    that are similar to the chosen frame's colour.
 
     Args:
         rgb: (T, h, w, 3) uint8 frames.

@@ -137,9 +137,9 @@ def combine_views(
         pictures: one frame's image (h, w, 3) of each camera.
         motions: length (h, w) of the optical flow in pixels in each camera, or None for a capture of one frame.
         grid: voxels of the hull, or None for a single camera or parallel cameras, which are processed independently.
-        local: local colours of the background, or None for a single pass. If they are given, there are two passes: the
-            first determines the local colours of the subject, and the second carves another hull with evidence from the
-            local colours of subject and background.
+        local: each camera's local background colours (colour distributions that vary over the image), or None. If they
+            are given, a second pass follows. It computes local colours of the subject from the result of the first
+            pass, adds the evidence of both kinds of local colours to each camera's log-odds, and carves the hull again.
         painted: for each camera, the log-odds (h, w) that the user painted; 0 where nothing is painted.
     """
     strokes = [None] * len(pictures) if painted is None else painted
@@ -180,7 +180,7 @@ def _add_hull(
         scores = grid.scores(own)
         priors = [scores.prior(index) for index in range(len(own))]
     # The log-odds of pixels in the reliable part of the hull (priors above RELIABLE_SCORE) are estimated from all views
-    # together, because an estimate from a single view that misses a part of the subject would be biased.
+    # together. A single view may fail to detect a part of the subject, so an estimate from it alone would be biased.
     reliable_own = [
         odds[(prior > RELIABLE_SCORE) & each.region] for odds, prior, each in zip(own, priors, appearances, strict=True)
     ]

@@ -25,9 +25,8 @@ SURROUND_PX = 20
 """Width in pixels of the band around the subject whose colours represent the background."""
 MIN_WEIGHT = np.float32(0.04)
 COLOUR_MARGIN = np.float32(1.0)
-""":func:`_background_weight` is 0.5 if the colour log-odds of the subject have this value.
-
-:func:`_background_confirmation` is 0.5 if the log-odds are -COLOUR_MARGIN.
+"""Limit of the log-odds that a pixel's colour belongs to the subject. Where the log-odds equal COLOUR_MARGIN,
+:func:`_background_weight` is 0.5. Where they equal -COLOUR_MARGIN, :func:`_background_confirmation` is 0.5.
 """
 COLOUR_SLOPE = np.float32(2.0)
 MIN_BACKGROUND_WEIGHT = np.float32(0.02)
@@ -46,8 +45,8 @@ pixels may show parts of the subject that the hull misses.
 CERTAIN_CONFIDENCE = 0.9
 MIN_CONFIRMATION = np.float32(0.03)
 TRUST_SLOPE = np.float32(5.0)
-"""If the probability of the subject at a pixel is below 1 / TRUST_SLOPE, the pixel counts as background without further
-evidence."""
+"""If a low probability p of the subject is sufficient evidence for background, a pixel counts as background with at
+least the weight max(0, 1 - TRUST_SLOPE * p)."""
 
 
 @dataclass(eq=False)
@@ -207,9 +206,9 @@ def _background_confirmation(odds: Floats) -> Floats:
 
     Typical background colours have a high weight.
 
-    A static part of the subject keeps its colour over as many frames as the background does, so a constant colour is no
-    evidence for background at pixels that are always inside the other views' hull. At these pixels, only a colour
-    that is typical of the background is evidence for background.
+    Pixels that are always inside the other views' hull may show a static part of the subject. Its colour is as constant
+    over time as the colour of the background, so a constant colour is no evidence for background at these pixels. Only
+    a colour that is typical of the background is.
     """
     return np.maximum(probability(COLOUR_SLOPE * (-COLOUR_MARGIN - odds)), MIN_CONFIRMATION)
 

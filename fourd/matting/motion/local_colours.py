@@ -18,9 +18,10 @@ SPREAD_BINS = 0.6
 REACH_PX = 20.0
 """Standard deviation of the spatial smoothing in pixels."""
 GLOBAL_WEIGHT = 4.0
-"""In each local histogram, the whole image's histogram counts as much as this number of pixels.
+"""Each local histogram is mixed with the histogram of the whole image, which has the weight of this number of pixels.
 
-It dominates at grid points that are far from all counted pixels.
+The histogram of the whole image dominates at grid points with few counted pixels nearby. The argument ``counted`` of
+:meth:`LocalColours.from_picture` selects the counted pixels.
 """
 
 

@@ -27,9 +27,11 @@ MIN_CONFIDENCE = 0.9
 SUBJECT_LOG_ODDS = np.float32(2.0)
 """A pixel's colour counts as a colour of the subject if the pixel's log-odds are above this value."""
 GLOBAL_SHARE = 0.15
-"""Weight of the subject's colours from the whole recording when they are mixed with the subject's colours near a pixel.
-Without it, a part of the subject would be missed if its colour occurs at no nearby pixel that certainly shows the
-subject."""
+"""Weight in [0, 1] of the subject's colours from the whole recording in the mixture with the subject's local colours.
+
+The local colours come only from pixels that certainly show the subject. Without the mixture, a part of the subject
+would be missed if its colour occurs at none of these pixels nearby.
+"""
 MAX_LOG_ODDS = np.float32(8.0)
 WEIGHT = np.float32(1.0)
 
@@ -39,10 +41,10 @@ class LocalEvidence:
     """Local colours of one camera's background, around the subject.
 
     Attributes:
-        window: rows and columns of the image that contain the subject in all frames.
-        background: colours of the known background.
-        weight: factor (h, w) in [0, WEIGHT] that multiplies the local log-odds in the window; 0 where the background is
-            known.
+        window: rows and columns of the part of the image that contains the subject in every frame.
+        background: local colours of the known background in the window.
+        weight: one factor in [0, WEIGHT] per pixel of the window, which multiplies the local log-odds; 0 where the
+            background is known.
     """
 
     window: tuple[slice, slice]
@@ -64,9 +66,11 @@ class LocalEvidence:
         return LocalEvidence(window, colours, WEIGHT * (1 - confidence))
 
     def add(self, own: Floats, combined: Floats, rgb: Picture, subject: ColourHistogram) -> Floats:
-        """Add local evidence to the log-odds ``own`` (h, w) of one frame's image (h, w, 3).
+        """Add local evidence to the log-odds of one frame's image (h, w, 3).
 
-        Pixels that have high log-odds both in ``own`` and in ``combined`` (h, w) supply the subject's local colours.
+        ``own`` (h, w) are the log-odds from this camera only, and ``combined`` (h, w) also contain the evidence of the
+        other views. Pixels where both are above SUBJECT_LOG_ODDS supply the subject's local colours. The histogram
+        ``subject`` contains the subject's colours from the whole recording.
         """
         if not self.weight.any():
             return own

@@ -35,7 +35,8 @@ class MatteMaker:
     """Makes mattes frame by frame.
 
     Attributes:
-        appearances: one appearance per camera, at the image size of ``cameras``.
+        appearances: colour models of the subject and the background, one object per camera, at the image size of
+            ``cameras``.
         cameras: cameras of the reduced images from which log-odds are computed.
         grid: voxel grid for multi-view consistency, or None for a single camera or for parallel
             cameras, whose views cannot be combined.

@@ -47,8 +47,8 @@ class MotionExtent:
         threshold = max(MIN_CHANGE, NOISE_FACTOR * noise)
         still = float(np.median(sample.motion_px)) + MIN_MOTION_PX
         # For each pixel, the second largest change over the frames is used, because a flash that lasts one frame
-        # affects only the largest change. Changes in frames with large optical flow at the pixel, for example of a
-        # swinging foot, are never ignored, even if only one frame has such a change.
+        # affects only the largest change. If the optical flow at the pixel is large in a frame, for example because a
+        # foot swings through the pixel, the change in this frame counts even if it is the only large change.
         largest = np.partition(change, -2, axis=0)[-2] if len(change) > 2 else change.max(axis=0)
         largest = np.maximum(largest, np.where(sample.motion_px > MOVING_FACTOR * still, change, 0).max(axis=0))
         region = (largest > threshold).astype(np.uint8)

@@ -1,8 +1,8 @@
 """Corrections that the user paints on single images: strokes or whole masks of the subject and the background.
 
-A painted image fixes the log-odds of its pixels. Because the visual hull is carved from the log-odds of all views, the
-strokes correct the other views of the frame as well. Optical flow propagates the strokes to neighbouring frames of the
-camera, but only to pixels whose colour has not changed.
+Painted pixels get log-odds that outweigh all other evidence. Because the visual hull is carved from the log-odds of all
+views, the strokes correct the other views of the frame as well. Optical flow propagates the strokes to neighbouring
+frames of the camera, but only to pixels whose colour has not changed.
 """
 
 from __future__ import annotations

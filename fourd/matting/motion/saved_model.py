@@ -21,14 +21,14 @@ from fourd.matting.motion.mattes import MatteMaker
 from fourd.matting.motion.subject import Subject
 
 MAX_BYTES_PER_PIXEL = 64
-"""Maximum size in bytes of the images in a model, per pixel of its cameras. The models that fourd writes have 20 bytes
-per pixel."""
+"""Maximum total size in bytes of a model's per-pixel arrays, such as the mean background colours, divided by the number
+of pixels of all cameras. Files with larger arrays are refused. The models that fourd writes have 20 bytes per pixel."""
 MAX_OTHER_BYTES = 256 << 20
-"""Maximum size in bytes of all arrays of a model that are not images, such as histograms of colours."""
+"""Maximum total size in bytes of a model's other arrays, such as histograms of colours."""
 
 
 def save_subject(path: Path, subject: Subject, backgrounds: Sequence[BackgroundModel]) -> None:
-    """Write each camera's models of the subject and of the background to one file, atomically."""
+    """Write the models of the subject and of the background of all cameras to the file ``path``, atomically."""
     arrays: dict[str, Any] = {"box": np.zeros((0, 3)) if subject.box is None else np.stack(subject.box)}
     for index, (appearance, fine) in enumerate(zip(subject.appearances, backgrounds, strict=True)):
         arrays |= {

@@ -33,12 +33,13 @@ Flags = NDArray[np.bool_]
 
 ITERATIONS = 4
 LOCAL_ITERATIONS = 2
-"""Number of additional iterations after the first ITERATIONS iterations. Their E-step uses local colours. In their
-M-step, a low probability of the subject confirms background even inside the other views' hull, so background between
-the subject's limbs becomes known. The first additional iteration makes the subject's edges more accurate. The second
-finds background that is visible only next to the subject."""
+"""Number of additional iterations after the first ITERATIONS iterations. Their E-step also uses local colours. In their
+M-step, a pixel with a low probability of the subject counts as background even if it lies inside the visual hull of the
+other views. The background between the subject's limbs, which the hull often covers, thus becomes known. The first
+additional iteration makes the subject's edges more accurate. The second finds background that is visible only next to
+the subject."""
 MIN_REGION_PIXELS = 20
-"""If fewer than this number of pixels change in every camera, the capture has no moving subject."""
+"""Minimum number of changing pixels. If every camera has fewer changing pixels, the capture has no moving subject."""
 COARSE_CELLS = (48, 64, 64)
 POOLED_SHARE = 0.3
 """Weight in [0, 1] of the subject colours pooled over all cameras, when they are mixed with a camera's own subject
@@ -53,7 +54,8 @@ class Subject:
     """The learned models.
 
     Attributes:
-        appearances: one appearance per camera, at the size of the sampled images.
+        appearances: colour models of the subject and the background, one object per camera, at the size of the sampled
+            images.
         cameras: cameras of the sampled images.
         box: minimum and maximum corner (3,) of the subject's bounding box over all frames, in world units, or None if
             the views cannot be combined.
@@ -149,7 +151,8 @@ def _motion_box(
 
 
 def _subject_regions(extents: Sequence[MotionExtent], grid: VoxelGrid) -> list[Flags]:
-    """Restrict each camera's moving region to the visual hull from all cameras, plus a margin.
+    """Restrict each camera's moving region to the pixels onto which the visual hull of the other views projects, plus a
+    margin.
 
     The restriction excludes people who move outside the volume that all cameras observe.
     """

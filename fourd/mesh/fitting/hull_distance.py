@@ -19,11 +19,12 @@ from fourd.carving.surface import surface_cells
 from fourd.mesh.surface.grid import TetrahedralGrid, cube_grid
 
 BAND_CELLS = 2
-"""Number of cubes by which the grid extends beyond the surface cubes on each side."""
+"""Number of cubes by which the grid extends, on each side, beyond the cubes that contain the surface of the hull."""
 
 SMOOTHING_CELLS = 1.2
-"""Standard deviation, in units of the cube side, of the Gaussian that smooths the hull after its excess parts are
-removed."""
+"""Standard deviation of the Gaussian that smooths the hull's occupancy before and after excess parts are removed, in
+units of the cell size of :class:`_RemovedParts`. Excess parts are protrusions without which the hull still covers all
+mattes."""
 
 DISTANCE_CELLS = 1.5
 """Signed distances are clamped to plus or minus this number of cube sides."""
@@ -62,9 +63,10 @@ def hull_distance_grid(
         cameras: undistorted pinhole cameras.
         bounds: box that contains the hull.
         cells: number of cubes along the longest side of ``bounds``, at least 1.
-        agreement: a hull point must be inside the mattes of at least this fraction, in (0, 1], of the views that see
-            it.
-        least_views: at least this fraction, in (0, 1], of all views must see a hull point.
+        agreement: a fraction in (0, 1]. A point belongs to the hull only if it is inside the mattes of at least this
+            fraction of the views that see it.
+        least_views: a fraction in (0, 1]. A point belongs to the hull only if it is seen by at least this fraction of
+            all views.
         trim: whether to remove protruding parts of the hull (see :mod:`fourd.carving.excess`). The remaining hull still
             covers all mattes.
         names: names of the cameras for error messages.
@@ -101,13 +103,14 @@ def hull_distance_grid(
 
 @dataclass(frozen=True, eq=False)
 class _RemovedParts:
-    """Excess parts of a hull, stored as the fraction of each cell's neighbourhood that is removed.
+    """The excess parts that were removed from a hull, on a regular grid of cells.
 
     Attributes:
-        hull: the grid of cells.
-        share: float32 array with the shape of the grid: for each cell, the fraction of its neighbourhood that is
-            removed, in [0, 1]. The cells of a neighbourhood have Gaussian weights (SMOOTHING_CELLS).
-        surface: (3, N) centres of the cells near the new surface of the hull, relative to the silhouettes' origin.
+        hull: the hull before the removal, filled with the cells of the grid.
+        share: float32 array with the shape of the grid. The value of a cell is the fraction, in [0, 1], of the cell's
+            neighbourhood that lies in the excess parts. The neighbourhood has Gaussian weights (SMOOTHING_CELLS).
+        surface: (3, N) centres of the cells near the parts of the surface that the removal exposed, relative to
+            ``Silhouettes.origin``.
     """
 
     hull: FilledHull
@@ -119,8 +122,8 @@ class _RemovedParts:
 
         Occupancy is 1 inside the hull and 0 outside. If it is smoothed with a Gaussian of standard deviation sigma
         (SMOOTHING_CELLS times the cell size), its slope at a flat surface is 1 / (sigma * sqrt(2 * pi)) per unit of
-        distance. The removed fraction of a neighbourhood is divided by this slope to get a distance, which is clamped
-        to ``2 * limit``, the amount that changes ``limit`` to ``-limit``.
+        distance. The removed fraction of a neighbourhood is divided by this slope to get a distance. The result is at
+        most ``2 * limit``, because signed distances are clamped to [-limit, limit] and cannot decrease by more.
         """
         index = (xyz.astype(np.float64) - self.hull.lower[:, None]) / self.hull.side
         share = map_coordinates(self.share, index, order=1, mode="nearest", prefilter=False)
@@ -148,7 +151,7 @@ def surface_band(centres: Array, anchor: Array, side: float) -> tuple[NDArray[np
     at most BAND_CELLS cubes away from a cube that contains one of the points.
 
     The cube lattice is placed such that ``anchor`` (3,) is the centre of a cube. Return the cubes' integer positions
-    (N, 3), and the world position (3,) of the lower corner of the cube at (0, 0, 0).
+    (N, 3), and the lower corner (3,) of the cube at (0, 0, 0), in the coordinates of ``centres``.
     """
     index = np.unique(np.rint((centres - anchor) / side).astype(np.int64), axis=0)
     reach = np.arange(-BAND_CELLS, BAND_CELLS + 1)

@@ -16,8 +16,8 @@ MIN_COSINE = 0.25
 angle and are not compared."""
 
 DEPTH_TOLERANCE_PX = 3.0
-"""A point that lies slightly behind a view's depth image still counts as visible. The depth difference may be at most
-the length that this number of pixels covers on the surface at the point."""
+"""Tolerance of the visibility test. A point that lies behind the surface in a view's depth image still counts as
+visible if the depth difference is at most the length of the piece of surface that this number of pixels shows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +47,8 @@ def photo_loss(xyz: Tensor, normals: Tensor, pixels: Tensor, target: PhotoView, 
     """Return the mean colour difference between a target view and the source views that see the same surface points.
 
     A source view sees a point if the surface there faces the view's camera and no other part of the mesh hides the
-    point. Of each point's colour differences to the source views that see it, only the smaller half counts. This
-    ignores most highlights and most errors of the visibility test.
+    point. Each point has one colour difference to each source view that sees it, and only the smaller half of these
+    differences counts. This ignores most highlights and most errors of the visibility test.
 
     Args:
         xyz: (P, 3) surface points, differentiable.

@@ -11,12 +11,12 @@ class FitSettings:
 
     Attributes:
         steps: number of gradient steps, 0 or more. If 0, the mesh is the surface of the visual hull.
-        rate: initial learning rate of distances and offsets, in units of the cube side, more than 0. It falls to a
-            tenth at the last step.
+        rate: initial learning rate of the signed distances and vertex offsets of the tetrahedral grid, more than 0, in
+            units of the side length of the grid's cubes. It falls to a tenth at the last step.
         silhouette: weight of the squared difference between rendered and given mattes.
         photo: weight of the colour difference between different views of the same surface point.
         laplacian: weight of :func:`fourd.mesh.surface.losses.laplacian_loss`, computed with lengths in units of the
-            cube side.
+            side length of the grid's cubes.
         normal: weight of :func:`fourd.mesh.surface.losses.normal_consistency_loss`.
         sources: number of source views that each target view is compared with.
         seed: seed of the random order of the views.

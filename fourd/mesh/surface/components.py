@@ -21,8 +21,9 @@ def drop_crumbs(
         min_share: parts are kept if their area is at least this fraction, in [0, 1], of the largest part's area.
 
     Returns:
-        the remaining vertices and triangles, in their original order, without unused vertices. Parts without positive
-        volume are cavities and are removed, unless no part has positive volume.
+        the remaining vertices and triangles, in their original order, without unused vertices. The normals of a cavity
+        point into the cavity, so its signed volume is negative. Parts whose signed volume is not positive are removed,
+        unless no sufficiently large part has a positive volume.
 
     Raises:
         ValueError: if ``min_share`` is outside [0, 1].

@@ -53,8 +53,8 @@ def marching_tetrahedra(xyz: Tensor, sdf: Tensor, tetrahedra: Tensor) -> Surface
     """Extract the surface where the linearly interpolated ``sdf`` is zero.
 
     The surface cuts an edge with the ends a and b at (x_a * s_b - x_b * s_a) / (s_b - s_a), where x are positions and s
-    are signed distances (DMTet, eq. 1). All tetrahedra with a cut edge share the vertex on it, so the surface is closed
-    if it does not reach the border of the grid.
+    are signed distances (DMTet, eq. 1). Each cut edge has one vertex, which all tetrahedra around the edge share, so
+    the surface is closed if it does not reach the border of the grid.
 
     Args:
         xyz: (V, 3) floating-point positions of the grid's vertices, differentiable.

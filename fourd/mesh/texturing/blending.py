@@ -15,8 +15,9 @@ from fourd.mesh.views import MeshView
 Floats = NDArray[np.float32]
 
 ANGLE_POWER = 6
-"""Exponent of the cosine between the normal and the direction to the camera in a view's weight. A high exponent gives
-sharp textures, because few views are mixed. A low exponent makes colour differences between the views less visible."""
+"""The weight of a view is proportional to the cosine between the normal and the direction to the camera, raised to this
+power. A high power gives sharp textures, because few views are mixed. A low power makes colour differences between the
+views less visible."""
 
 MIN_COSINE = 0.1
 """A view does not colour a point if the cosine between the normal and the direction to the camera is at most this

@@ -51,7 +51,7 @@ def fill_vertices(rgb: Floats, known: NDArray[np.bool_], triangles: NDArray[np.i
 def fill_between_charts(texture: Floats, covered: NDArray[np.bool_]) -> Floats:
     """Give each texel outside the charts the colour of the nearest texel in a chart.
 
-    This keeps other colours out of bilinear samples at the borders of charts and out of coarser mip levels.
+    Bilinear samples at chart borders and the texels of coarser mip levels thus contain only colours of charts.
 
     Args:
         texture: (S, S, 3) colours.

@@ -67,9 +67,9 @@ class Occluder:
             height = (towards * normal).sum(axis=1)
             with np.errstate(divide="ignore", invalid="ignore"):
                 t = ((start - centre) * normal).sum(axis=1) / height
-            # The traced ray starts where the line from the camera through a corner of the pixel meets the tangent
-            # plane, at ``centre + t * towards``. Near the contour, this is far away or nowhere, so t is clamped to keep
-            # the ray's origin near the point. At t = 1, the origin has the depth of ``start``.
+            # The traced ray starts where the line from the camera through a corner of the square (see CORNERS_PX) meets
+            # the tangent plane, at ``centre + t * towards``. Near the contour, the two meet far away or not at all, so
+            # t is clamped to keep the ray's origin near the point. At t = 1, the origin has the depth of ``start``.
             t = np.where(np.isfinite(t), t, 1).clip(0.5, 2).astype(np.float32)
             origins = centre + t[:, None] * towards
             rays = torch.from_numpy(origins), torch.from_numpy(centre - origins)

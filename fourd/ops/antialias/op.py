@@ -21,8 +21,9 @@ def antialias(
     """Return the blended colours (B, H, W, C), and a code (B, H, W) uint8 per pixel.
 
     ``pos`` is (B, V, 4), or (V, 4) if all images have the same vertices. A pixel forms one pair with its right
-    neighbour and one with its lower neighbour. Its code stores for each of the two pairs which silhouette edge crosses
-    it, for the backward pass. ``csrc/antialias/maths.h`` describes the bits of the code.
+    neighbour and one with its lower neighbour. For each of the two pairs, the pixel's code stores which silhouette edge
+    passes between the pixel centres. The code is an input of the backward pass. ``csrc/antialias/maths.h`` describes
+    its bits.
     """
     out, codes = _empty_outputs(color)
     inputs = (color, rast, pos if pos.ndim == 3 else pos[None], tri, opposite)

@@ -75,8 +75,11 @@ def find_pairs(rast: Tensor, triangles: int, axis: int) -> Pairs:
 
 
 def see(pairs: Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
-    """Return the clip coordinates (N, K, 3) of the vertices with indices (N, K), in the order along the pair, across
-    the pair, w. Their origin is the centre of the pair's owner (the pixel whose triangle is nearer)."""
+    """Return the clip coordinates (N, K, 3) of the vertices with indices (N, K): along the pair, across it, and w.
+
+    The first two are relative to the centre of the pair's owner (the pixel whose triangle is nearer): both are 0 for a
+    vertex that projects to this centre.
+    """
     x, y, w = clip[pairs.image[:, None], vertices].unbind(-1)
     along, across = (x, y) if pairs.axis == 0 else (y, x)
     return torch.stack((along - pairs.centre[:, :1] * w, across - pairs.centre[:, 1:] * w, w), -1)

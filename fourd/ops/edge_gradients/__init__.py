@@ -1,1 +1,1 @@
-"""Gradients of moving visibility edges (``csrc/edge_gradients``), which do not change the image in the forward pass."""
+"""Gradients of moving visibility edges (``csrc/edge_gradients``). The forward pass leaves the image unchanged."""

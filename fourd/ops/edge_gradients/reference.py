@@ -34,10 +34,12 @@ def add_edge_gradients_reference(color: Tensor, rast: Tensor, pos: Tensor, tri: 
 class _MovingEdges(torch.autograd.Function):
     """Returns ``color`` unchanged.
 
-    The backward pass treats each crossing as the position of a visibility edge that moves between the centres of two
-    neighbouring pixels: the owner, whose triangle is nearer, and the other pixel. If the edge moves away from the owner
-    by dt pixels, the colour of one of the two pixels changes by ``dt * (c_owner - c_other)``, where c_owner and c_other
-    are their colours. It is not known which pixel changes, so the gradient is the mean over the two cases.
+    A visibility edge passes between the centres of two neighbouring pixels: the owner, whose triangle is nearer, and
+    the other pixel. The argument ``crossing`` (N,) contains the distance in pixels from the owner's centre to the edge,
+    for each of N such pairs, and the backward pass computes the gradient of this distance. If the edge moves away from
+    the owner by dt pixels, the colour of one of the two pixels changes by ``dt * (c_owner - c_other)``, where c_owner
+    and c_other are their colours. Either of the two pixels can be the one that changes, so the gradient is the mean
+    over both cases.
     """
 
     @staticmethod
@@ -99,7 +101,7 @@ def _dot(one: Tensor, two: Tensor) -> Tensor:
 def _intersect(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
     """Return a mask of the pairs whose triangles intersect between the pixel centres.
 
-    The triangles of a pair intersect if both contain both pixel centres, and a different one is nearer at each centre.
+    The triangles of a pair intersect if each of them contains both pixel centres and is nearer at one of the centres.
     As with silhouette edges, intersection lines at less than 45 degrees to the segment between the centres are ignored.
     Triangles that share an edge are not tested, because they intersect only along the edge.
     """

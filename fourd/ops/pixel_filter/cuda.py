@@ -12,8 +12,8 @@ from fourd.ops.points.validation import check_canvas
 def filter_pixels_gpu(image: Tensor, side: float, out: Tensor | None = None) -> Tensor:
     """Filter an (H, W, 4) uint8 image on its device, as :func:`fourd.ops.pixel_filter.op.filter_pixels` does.
 
-    The kernel is queued on torch's current stream, and the call returns before it finishes. CPU tensors use the
-    emulated kernel.
+    The kernel is queued on torch's current stream, and the call returns before it finishes. For CPU tensors,
+    the kernel runs in the emulator (:mod:`fourd.ops.gpu`).
 
     Returns:
         (H, W, 4) uint8 image on the device, which is ``out`` itself if given. ``out`` must not overlap ``image``.

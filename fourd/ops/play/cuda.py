@@ -31,7 +31,8 @@ def draw_points_gpu(
     :meth:`fourd.ops.play.op.PointPlayer.draw`, which documents the arguments.
 
     Pass float16 arrays as int16 tensors with the same bits. All tensors must be contiguous. The kernels are queued on
-    torch's current stream, and the call returns before they finish. CPU tensors use the emulated kernels.
+    torch's current stream, and the call returns before they finish. For CPU tensors, they run in the emulator
+    (:mod:`fourd.ops.gpu`).
 
     Returns:
         (H, W, 4) uint8 image on the device, which is ``out`` itself if given.

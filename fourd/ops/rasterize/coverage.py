@@ -1,4 +1,6 @@
-"""Computes the reference rasterizer's coverage by clipping, rounding to 1/256 pixel and exact edge functions.
+"""Computes which pixels each triangle covers in the reference rasterizer.
+
+Triangles are clipped, their vertices are rounded to 1/256 pixel, and their edge functions are evaluated exactly.
 
 The functions compute the same numbers as their counterparts in the kernels (``csrc/rasterize/maths.h`` and
 ``csrc/rasterize/clipping.h``), and are not differentiable.

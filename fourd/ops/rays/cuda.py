@@ -12,7 +12,8 @@ from fourd.ops.rays.discs import MAX_LAYERS, DiscTree
 
 
 class GpuDiscTree:
-    """A bounding volume hierarchy of N discs in device memory. CPU tensors use the emulated kernel.
+    """A bounding volume hierarchy of N discs in device memory. For CPU tensors, the kernel runs in the emulator
+    (:mod:`fourd.ops.gpu`).
 
     The colours are bit-identical to those of :class:`fourd.ops.rays.discs.DiscTree`.
     """

@@ -61,8 +61,9 @@ class DiscTree:
         layers: int = 12,
         threads: int = 0,
     ) -> Array:
-        """Composite the K nearest discs of each ray, front to back, and by index at equal t.
+        """Composite the K nearest discs of each ray, front to back.
 
+        The discs are ordered by the ray parameter t of the hit, and by index at equal t.
         At the distance d from a disc's centre, its alpha is density * (1 - d^2 / radius^2).
 
         Args:

@@ -13,7 +13,7 @@ def shade_points_gpu(xyz: Tensor, sh: Tensor, blend_weights: Tensor, rgb: Tensor
     """Compute the colours of :func:`fourd.ops.shade.op.shade_points`, (N, 3) float32, on the tensors' device.
 
     Pass ``sh`` and ``blend_weights`` as int16 tensors with the bits of float16 numbers. All tensors must be contiguous.
-    The kernel is queued on torch's current stream. CPU tensors use the emulated kernel.
+    The kernel is queued on torch's current stream. For CPU tensors, it runs in the emulator (:mod:`fourd.ops.gpu`).
     """
     gpu = load_gpu(xyz.device)
     out = torch.empty_like(xyz)

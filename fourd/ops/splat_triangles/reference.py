@@ -26,8 +26,8 @@ CHUNK = 1 << 21
 class Projected(NamedTuple):
     """M triangles projected to the image. All arrays have the shape (M,), except ``slope_x`` and ``slope_y`` (M, 3).
     (``x``, ``y``) is the incentre in pixels. The signed distances from the three edges, scaled to 1 at the incentre,
-    have the slopes ``slope_x`` and ``slope_y`` per pixel. The smallest of the three distances is the triangle's window
-    function, and alpha is 1/255 where it equals ``smallest``. ``smallest`` is clamped to at least SMALLEST_WINDOW."""
+    have the slopes ``slope_x`` and ``slope_y`` per pixel. The minimum of the three distances is the triangle's window
+    function. ``smallest`` is the value of the window function at which alpha is 1/255, but at least SMALLEST_WINDOW."""
 
     x: Tensor
     y: Tensor

@@ -1,7 +1,8 @@
 """The inputs of the stylizer: an image's visible surface, and the parameters of a style for one camera.
 
 A pixel has the albedo F (colour / alpha), the coverage s, the unit normal N and the camera depth z. V is the unit
-vector towards the camera, and L is the unit vector towards the light. The stylizer performs these steps:
+vector towards the camera, and L is the unit vector towards the light. clamp(x) limits x to [0, 1]. The stylizer
+performs these steps:
 
 - Closing gaps. Points leave gaps through which a farther surface is visible. A pixel is in a gap if nearer surfaces
   lie on both sides of it, in its row or in its column, at most three pixels away. Of these two surfaces, the pixel
@@ -19,8 +20,8 @@ vector towards the camera, and L is the unit vector towards the light. The styli
   surface is at rest at a pixel if the sum of the inverse depths at the filter's nine taps differs by at most 3% between
   the previous and the new image.
 - Lines near holes. The back of a surface is visible only through holes between the points, around which depths are
-  irregular. A line is therefore removed if a filter tap shows the back of a surface, unless another tap shows no
-  surface.
+  irregular. A line is therefore removed if a filter tap shows the back of a surface. It is kept if another tap shows
+  no surface, because it then belongs to the subject's outline.
 - Specks, which are very short lines, are not drawn. Consider the squares around a pixel with sides of 2, 4, 8, ...,
   2 * r pixels, where r is the result of ``speck_reach``. The line at the pixel is drawn only if each of these squares
   has a line of at least the strength LEAST_STRENGTH on its sides. The line state still contains the specks.
@@ -55,8 +56,8 @@ SAME_TAPS = 0.03
 between two images."""
 
 BACK_WEIGHT = 0.1
-"""Weight of points whose normals face away from the camera in a visible surface's mean depth and mean normal. Points
-whose normals face the camera have the weight 1."""
+"""A visible surface's depth and normal are weighted means over points. Points whose normals face away from the camera
+have this weight, and points whose normals face the camera have the weight 1."""
 FRONT_SLOPE = 8.0
 """Slope with which lines fade near the backs of surfaces. Let m be the largest dot product of the pixel's ray with the
 normals at the filter's taps, which is positive for normals that point away from the camera. A line has full strength at
@@ -143,8 +144,8 @@ class Numbers:
             is below angle_threshold. The mixing weight rises from 0 to angle_strength over a range of angle_softness on
             each side of the threshold.
         depth_threshold: relative jump of the inverse depth above which a line is drawn. Positive.
-        normal_threshold: change, over the filter's taps, of the cosine between the normals at the tap and at the pixel
-            above which a line is drawn. Positive.
+        normal_threshold: a line is drawn if the cosine between the normal at a tap and the normal at the pixel changes
+            by more than this value over the filter's taps. Positive.
         line_opacity, line_colour: opacity and colour of the strongest line.
         hysteresis: where the previous image has a line, the thresholds are multiplied by ``1 - hysteresis``. At least 0
             and below 1.

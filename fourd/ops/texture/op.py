@@ -104,8 +104,8 @@ def _sample_backward(
     needs: Sequence[bool],
 ) -> list[Tensor]:
     """Compute the gradients of ``uv``, ``uv_da``, ``bias``, ``tex`` and ``mips``. The four bools ``needs`` select the
-    gradients of ``uv``, ``uv_da``, ``bias`` and the texture; the others are empty tensors. If ``is_chain`` is True, the
-    result has no gradients of ``mips``."""
+    gradients of ``uv``, ``uv_da``, ``bias`` and the texture; gradients that are not selected are empty tensors. If
+    ``is_chain`` is True, the result has no gradients of ``mips``."""
     out = _empty_gradients(tex, mips, uv, uv_da, bias, needs)
     to_levels = [_image(level) for level in out[3:]] if needs[3] else []
     to_pixels = [one.flatten(1, 2) if needed else None for one, needed in zip(out[:3], needs[:3], strict=True)]

@@ -18,8 +18,8 @@ def unpack_positions(
     """Decode the positions (N, 3) from Morton codes.
 
     Args:
-        content: (B * N,) differences between successive codes, as B planes of N bytes, lowest bytes first. The codes
-            are the cumulative sums of the differences modulo 2^64.
+        content: (B * N,) differences between successive codes, each an integer of B bytes. They are stored as B planes
+            of N bytes, with the lowest bytes first. The codes are the cumulative sums of the differences modulo 2^64.
         lower: (3,) position of the Morton code 0.
         step: distance between adjacent positions along an axis.
         points: N.

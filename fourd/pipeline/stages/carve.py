@@ -131,8 +131,8 @@ def _require_hull(capture: Capture, settings: CarveStageSettings, context: Conte
 
 
 def _open_training_views(files: CarveFiles, selection: DataSelection) -> Capture:
-    """Open the capture without the held-out views, which must not influence the scene because it is evaluated in
-    them."""
+    """Open the capture without the held-out views. These must not influence the scene, because they are used to
+    evaluate it."""
     if not selection.test_views and files.run is None:
         views = None if selection.views is None else list(selection.views)
         return _open(files.capture, selection, views)

@@ -27,8 +27,8 @@ RESULT = "repair.json"
 MAX_MEDIAN_PX = 1.0
 """Median residual in pixels above which corrections of the calibration are tried."""
 MIN_SHARE = 0.5
-"""Fraction of the feature matches within 3 pixels of their epipolar lines below which corrections of the calibration
-are tried."""
+"""Corrections of the calibration are also tried if less than this fraction of the feature matches is within 3 pixels of
+the epipolar lines."""
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from fourd.training.run_layout import CONFIG_NAME
 
 VERSION = 1
 LINKED = ("capture", "repaired", "still")
-"""The only folders in which a manifest may list symbolic links. Links in other folders are refused, because stages
-write files to them."""
+"""The only folders in which a manifest may list symbolic links. Stages write files into the other folders, so links in
+these folders are refused."""
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,10 @@
-"""The objects of a folder for intermediate results: the manifests of stages, and the files of each of their executions.
+"""A folder for intermediate results in an object store: the manifests of stages, and the files of each execution of a
+stage.
 
 ``work.json`` marks the folder, ``units/STAGE.json`` is the manifest of a stage, and ``units/STAGE/ATTEMPT/`` has the
-files of one execution. The objects of an execution are never replaced, so that a reader gets the files of a single
-execution, and an interrupted upload does not damage the files of the previous one.
+files of one execution, where ATTEMPT is a random name. Because each execution writes to a folder of its own and never
+replaces files of another execution, a reader never gets a mixture of two executions, and an interrupted upload does not
+damage the files of the previous execution.
 """
 
 from __future__ import annotations

@@ -47,13 +47,13 @@ def splat_along_rays(
     backend: str = "auto",
     threads: int = 0,
 ) -> RaySplats:
-    """Composite soft triangles front to back along rays, as UTrice does (Li et al. 2025), with the window of triangle
-    splatting (Held et al. 2025).
+    """Composite soft triangles front to back along rays, as UTrice does (Li et al. 2025). The opacity decreases from
+    the incentre of a triangle to its edges by the window function of triangle splatting (Held et al. 2025).
 
     Let b_k be the barycentric coordinate of vertex k at the hit, P the triangle's perimeter, l_k the length of the edge
-    opposite to vertex k, and a_k = b_k * P / l_k. The window is min(a_0, a_1, a_2)^sigma, which is 1 at the incentre
-    and 0 at the edges. The triangle's alpha is min(0.99, opacity * window). Triangles with an alpha of at least 1/255
-    are composited in ascending order of t, and of their indices at equal t, until the transmittance is at most 1e-4.
+    opposite to vertex k, and a_k = b_k * P / l_k. The window function is min(a_0, a_1, a_2)^sigma, which is 1 at the
+    incentre and 0 at the edges. The triangle's alpha is min(0.99, opacity * window). Triangles with an alpha of at
+    least 1/255 are composited in ascending order of t (at equal t, of index) until the transmittance is at most 1e-4.
 
     Edge lengths and barycentric coordinates are those of the triangle projected to the image of ``camera``, or those of
     the triangle in 3D if ``camera`` is None. If ``camera`` is given, rays through its pixel centres give the image of
@@ -64,8 +64,8 @@ def splat_along_rays(
         xyz: (V, 3) float32 positions, equal to ``bvh.xyz``.
         features: (T, C) float32 colours or other features.
         opacity: (T,) float32 opacity at the incentre.
-        sigma: (T,) float32 exponent of the window, positive.
-        camera: camera whose image defines the window, or None.
+        sigma: (T,) float32 exponent of the window function, positive.
+        camera: camera whose image defines the window function, or None to define it in 3D.
         t_min: hits with t below ``t_min`` are skipped. The point at t is ``origin + t * direction``.
         layers: maximum number of triangles that are composited along a ray, or None for no limit.
         origins, directions, backend, threads: as in :func:`fourd.raster.rays.trace`.
@@ -94,8 +94,9 @@ def splat_along_rays(
 
 
 class _Window:
-    """Computes min_k a_k, the base of the window function of :func:`splat_along_rays`, from the hits' barycentric
-    coordinates. The triangle is projected to the image of ``camera``, or used in 3D if ``camera`` is None."""
+    """Computes min(a_0, a_1, a_2) from the hits' barycentric coordinates. The window function of
+    :func:`splat_along_rays` is this number to the power sigma. The triangle is projected to the image of ``camera``, or
+    used in 3D if ``camera`` is None."""
 
     def __init__(self, corners: Tensor, camera: Camera | None) -> None:
         if camera is None:
@@ -110,8 +111,8 @@ class _Window:
         self.scale = length.sum(1, keepdim=True) / length
 
     def at(self, triangle: Tensor, weights: Tensor) -> Tensor:
-        """Return min_k a_k (M,) for M hits, given the triangle indices (M,) and the hits' barycentric coordinates
-        (M, 3) in the 3D triangles."""
+        """Return min(a_0, a_1, a_2) (M,) for M hits, given the triangle indices (M,) and the hits' barycentric
+        coordinates (M, 3) in the 3D triangles."""
         if self.depths is not None:
             # Barycentric coordinates in the image are proportional to those in 3D multiplied by the vertices' depths.
             scaled = weights * self.depths[triangle]
@@ -130,8 +131,8 @@ def _alpha(window: Tensor, opacity: Tensor, sigma: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class _Soup:
-    """The triangles' features (T, C), opacity (T,) and sigma (T,), and ``window``, which computes the base of the
-    window function at a hit."""
+    """The triangles' features (T, C), opacity (T,) and sigma (T,), and ``window``, which computes the number min(a_0,
+    a_1, a_2) of a hit."""
 
     features: Tensor
     opacity: Tensor
@@ -169,8 +170,8 @@ class _State:
         )
 
     def composite(self, soup: _Soup, hits: Hits, active: Tensor, limit: int) -> Tensor:
-        """Composite the next hits of the rays with the indices ``active``. Return a mask of the rays among them whose
-        compositing is complete."""
+        """Composite the next hits of the rays with the indices ``active`` (A,). Return a mask (A,), which is true for
+        the rays whose compositing is complete."""
         ray, layer = hits.is_hit.nonzero(as_tuple=True)
         alpha = soup.features.new_zeros(hits.t.shape).index_put((ray, layer), soup.alpha(hits, ray, layer))
         counts = (alpha.detach() > 0).long()

@@ -18,7 +18,7 @@ MAX_RAYS = 2**31 - 1
 
 @dataclass(frozen=True)
 class Hits:
-    """The K nearest hits of R rays, in ascending order of t, and of triangle indices at equal t.
+    """The K nearest hits of R rays, sorted by t, and by triangle index at equal t.
 
     Attributes:
         t: (R, K) float32, differentiable; infinite where there is no hit. The hit is at ``origin + t * direction``.

@@ -20,9 +20,9 @@ class Topology:
     """The neighbours of a mesh's triangles, for :func:`antialias`.
 
     Attributes:
-        opposite: (T, 3) int32. Column i contains the third vertex of the neighbouring triangle at the edge opposite to
-            vertex i, or -1 if the edge belongs to only one triangle or to more than two. Edges with the value -1 are
-            always silhouette edges.
+        opposite: (T, 3) int32. Element (t, i) describes the edge of triangle t that is opposite to its vertex i. If
+            exactly two triangles share this edge, the element is the index of the other triangle's vertex that is not
+            on the edge. Otherwise, it is -1. Edges with the value -1 are always silhouette edges.
     """
 
     opposite: Tensor

@@ -13,9 +13,10 @@ from fourd.cameras import Camera
 def clip_matrix(camera: Camera, near: float, far: float) -> Tensor:
     """Return the (4, 4) float32 matrix that maps homogeneous world coordinates to clip coordinates.
 
-    Points have the clip coordinates ``pos = xyz_homogeneous @ clip_matrix(camera, near, far).T``, from which
-    :func:`fourd.raster.triangles.rasterize` computes an image with the camera image's rows and columns. Row 0 is at the
-    top. w is the camera depth, and z/w is -1 at the depth ``near`` and 1 at the depth ``far``.
+    The clip coordinates of points are ``pos = xyz_homogeneous @ clip_matrix(camera, near, far).T``. With them,
+    :func:`fourd.raster.triangles.rasterize` at the camera's resolution shows each point in the same row and column as
+    the camera's image. Row 0 is at the top. w is the camera depth, and z/w is -1 at the depth ``near`` and 1 at the
+    depth ``far``.
 
     Args:
         camera: pinhole camera without lens distortion.

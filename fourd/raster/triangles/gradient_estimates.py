@@ -19,14 +19,16 @@ def estimate_gradient(
     samples: int = 1,
     generator: torch.Generator | None = None,
 ) -> Tensor:
-    """Estimate the gradient of a loss with respect to the parameters of primitives from rendered images (Deliot et al.
-    2024, "Transforming a non-differentiable rasterizer into a differentiable one with stochastic gradient estimation").
+    """Estimate the gradient of an image loss with respect to the parameters of the rendered primitives, from images
+    with perturbed parameters (Deliot et al. 2024, "Transforming a non-differentiable rasterizer into a differentiable
+    one with stochastic gradient estimation").
 
     Each sample renders two images, one with the parameters params + epsilon * s and one with params - epsilon * s,
     where the sign s is +1 or -1, chosen at random for each parameter. Let L_+ and L_- be a pixel's losses in the two
-    images. The pixel adds (L_+ - L_-) * s / (2 * epsilon) to the gradients of the primitives that it shows in at least
-    one of them. The expected value of this estimate is approximately the gradient of the loss, smoothed over a distance
-    of epsilon. Its noise is inversely proportional to the square root of ``samples``.
+    images. For each primitive that the pixel shows in at least one of the two images, (L_+ - L_-) * s / (2 * epsilon)
+    is added to the gradient of the primitive's parameters. The expected value of this estimate is approximately the
+    gradient of the loss, smoothed over a distance of epsilon. Its noise is inversely proportional to the square root of
+    ``samples``.
 
     Args:
         render: function that maps parameters to an image. It need not be differentiable, and is called twice per

@@ -39,7 +39,8 @@ def rasterize(
         pos: float32 clip coordinates: (B, V, 4) with one mesh per image, or (V, 4) if ``ranges`` is given.
         tri: (T, 3) int32 vertex indices, which all images share.
         resolution: (H, W) in pixels, each from 1 to 32768.
-        ranges: (B, 2) int32 index of the first triangle, and number of triangles, of each image, on any device.
+        ranges: (B, 2) int32, on any device. Row b has the index of the first triangle of image b, and the number of its
+            triangles.
         grad_db: whether the gradient with respect to ``pos`` includes the gradient through ``rast_db``.
         output_db: whether to compute ``rast_db``. If False, ``rast_db`` has the shape (B, H, W, 0).
         backend: "cpu" or "cuda" for the kernels, "reference" for an implementation in plain torch (float32 or float64,

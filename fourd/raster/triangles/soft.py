@@ -40,9 +40,10 @@ def rasterize_soft(
 
     The soft coverage of pixel i by triangle j is D_ij = sigmoid(d_ij^2 / sigma) if the pixel's centre is inside the
     triangle, and D_ij = sigmoid(-d_ij^2 / sigma) if it is outside. The argument ``distance`` defines d_ij. The pixel's
-    alpha is 1 - prod_j (1 - D_ij). Its features are a weighted mean of the triangles, with weights D_ij * exp(zbar_ij /
-    gamma), and of the background, with features 0 and weight exp(eps / gamma). zbar_ij is the triangle's normalised
-    depth at the pixel, 1 at ``near`` and 0 at ``far``, computed with clamped barycentric coordinates.
+    alpha is 1 - prod_j (1 - D_ij). Its features are the weighted mean of the features of the triangles and of the
+    background. Triangle j has the weight D_ij * exp(zbar_ij / gamma). The background has the features 0 and the weight
+    exp(eps / gamma). zbar_ij is the triangle's normalised depth at the pixel, which is 1 at ``near`` and 0 at ``far``.
+    It is computed with barycentric coordinates that are clamped to the triangle.
 
     The results are differentiable in ``xyz`` and ``features``. The backward pass treats the selection of triangles as
     constant. On the CPU, results and gradients are bit-identical for any number of threads.

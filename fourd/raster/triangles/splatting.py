@@ -60,13 +60,13 @@ def splat_triangles(
 ) -> TriangleRender:
     """Composite soft triangles front to back (triangle splatting, Held et al. 2025).
 
-    Let phi(p) be the largest of the three signed distances, in pixels, of the pixel p from the edges of a projected
-    triangle, which are negative inside it. Let s be the triangle's incentre. The window function I(p) = max(phi(p) /
-    phi(s), 0)^sigma is 1 at the incentre and 0 at the edges. The triangle's alpha is min(0.99, opacity * I(p)).
+    The signed distance of a pixel from an edge of a projected triangle, in pixels, is negative on the inner side of the
+    edge. Let phi(p) be the largest of the three signed distances of the pixel p. Let s be the triangle's incentre. The
+    window function I(p) = max(phi(p) / phi(s), 0)^sigma is 1 at the incentre and 0 at the edges. The triangle's alpha
+    is min(0.99, opacity * I(p)).
 
     At each pixel, the triangles with an alpha of at least 1/255 are composited in ascending order of their centres'
-    camera depths, and of their indices at equal depth. Compositing stops when the pixel's transmittance is at most
-    1e-4.
+    camera depths (at equal depth, of index). Compositing stops when the pixel's transmittance is at most 1e-4.
 
     The results are differentiable in ``xyz``, ``features``, ``opacity`` and ``sigma``. The backward pass treats the
     selection and the order of triangles as constant. On the CPU, results and gradients are bit-identical for any number
@@ -124,7 +124,8 @@ def _geometry_of(xyz: Tensor, tri: Tensor, camera: Camera) -> Tensor:
     eye = torch.as_tensor(camera.centre).to(xyz)
     facing = ((eye - centre) * normal).sum(dim=1, keepdim=True).detach()
     square = (normal * normal).sum(dim=1, keepdim=True)
-    # Degenerate triangles get a normal of about 0, and the lower limit of the length keeps their gradients finite.
+    # The normals of degenerate triangles are not divided by their length, which is near 0, so that their gradients stay
+    # finite.
     normal = torch.where(facing < 0, -normal, normal) * torch.where(square > 1e-24, square, 1).rsqrt()
     forward = torch.as_tensor(camera.forward.copy()).to(xyz)
     depth = centre @ forward + float(camera.translation[2])

@@ -57,9 +57,9 @@ def texture(
     (B, H', W', C).
 
     The centre of the texel in column j and row i is at (u, v) = ((j + 0.5) / W, (i + 0.5) / H). The result is
-    differentiable in tex, uv, uv_da, mip_level_bias and mip levels that are given as tensors. The gradient of tex
-    includes that through mip levels that are built from it. On the CPU, results and gradients are bit-identical for any
-    number of threads.
+    differentiable in tex, uv, uv_da, mip_level_bias and mip levels that are given as tensors. If the mip levels are
+    built from tex, the gradient of tex includes their gradients. On the CPU, results and gradients are bit-identical
+    for any number of threads.
 
     Args:
         tex: (B or 1, H, W, C) float32, or (B or 1, 6, N, N, C) for boundary_mode "cube", with faces along +x, -x, +y,
@@ -73,8 +73,8 @@ def texture(
         mip: None to build the levels in this call, a :class:`Mip` that was built from tex, or a list of tensors with
             the levels 1, 2 and so on. Each level has half the side lengths of the previous one, rounded down, but at
             least 1.
-        filter_mode: "nearest" reads one texel of level 0, with zero gradient of uv. "linear" is bilinear in level 0.
-            "linear-mipmap-nearest" is bilinear in the nearest level, with zero gradient of the level.
+        filter_mode: "nearest" reads one texel of level 0, and uv gets no gradient. "linear" is bilinear in level 0.
+            "linear-mipmap-nearest" is bilinear in the nearest level, and the level gets no gradient.
             "linear-mipmap-linear" is trilinear. "auto" is "linear-mipmap-linear" if uv_da or mip_level_bias is given,
             and "linear" otherwise.
         boundary_mode: how coordinates outside [0, 1] are handled: "wrap" repeats the texture, "clamp" repeats the
@@ -157,8 +157,9 @@ def _checked_filter(
 def _levels(
     tex: Tensor, mip: Mip | Sequence[Tensor] | None, max_mip_level: int | None, backend: Backend, threads: int
 ) -> list[Tensor]:
-    """Return the mip levels that the caller has given, or build them. Levels that are built for the kernels have no
-    gradient, because the operator itself adds the gradients of the levels to that of ``tex``."""
+    """Return the mip levels that the caller has given, or build them. Levels that are built for the kernels are
+    detached, because the backward pass of the kernels itself adds the gradients of the levels to the gradient of
+    ``tex``."""
     is_reference = select_backend(backend, "tex", tex) == "reference"
     if mip is None:
         level_count = checks.count_levels(tex, max_mip_level)

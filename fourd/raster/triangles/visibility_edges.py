@@ -31,13 +31,13 @@ def edge_gradients(
     below 45 degrees are ignored.
 
     Let c_1 and c_2 be the colours of the two pixels. If the edge moves by dt pixels from the first pixel towards the
-    second, one of the two pixels changes by dt * (c_1 - c_2). It is not known which one, so the gradient is the mean
-    over both cases.
+    second, one of the two pixels changes by dt * (c_1 - c_2). Either pixel can be the one that changes, so the gradient
+    is the mean over both cases.
 
-    The result is differentiable in ``color``, which gets the gradient of the result unchanged, and in x, y and w of
-    ``pos``, and at intersections also in z. The forward pass copies no data; the backward pass finds the edges. On the
-    CPU, gradients are bit-identical for any number of threads. On a GPU, the last bits of the gradient of ``pos`` can
-    differ between calls.
+    The result is differentiable in ``color`` and ``pos``. The gradient of ``color`` is the gradient of the result,
+    unchanged. Silhouette edges give gradients of x, y and w of ``pos``, and intersections also give gradients of z. The
+    forward pass copies no data; the backward pass finds the edges. On the CPU, gradients are bit-identical for any
+    number of threads. On a GPU, the last bits of the gradient of ``pos`` can differ between calls.
 
     Args:
         color, rast, pos, tri, topology, backend, threads: see :func:`fourd.raster.triangles.antialias`.

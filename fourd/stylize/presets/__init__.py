@@ -19,7 +19,8 @@ STYLE_SUFFIXES = (".yaml", ".yml")
 
 
 def load_style(name: str) -> Style:
-    """Load a preset by its name, or a style file. The path of a shade map is relative to the style file.
+    """Load a preset by its name, or a style file. The path of a shade map (see :class:`fourd.stylize.styles.Ramp`) is
+    relative to the style file.
 
     Raises:
         UserError: for an unknown name, an unknown key, a value out of range, or a shade map of the wrong shape. The

@@ -2,8 +2,8 @@
 
 The renderers treat cameras as constants: they compute no gradient with respect to the camera parameters. A camera
 correction instead gets its gradient through the positions of the rendered points. Each position is replaced by a
-differentiable function of the correction, whose value is the unchanged position. Its derivative is the motion of the
-point relative to the camera when the correction changes.
+differentiable function of the correction. The value of this function is the unchanged position, and its derivative is
+the motion of the point relative to the camera when the correction changes.
 """
 
 from __future__ import annotations

@@ -40,8 +40,8 @@ class ProcessGroup:
     only by the rank that owns the frame.
 
     The gradients of all dense parameters are averaged in one all-reduce after the backward pass. torch's
-    DistributedDataParallel is not used, because it requires one module that is called once per step, whereas a training
-    step calls several methods of the model, and some parameters have a gradient only in some steps.
+    DistributedDataParallel is not used, because it requires one module that is called once per step. In contrast, a
+    training step calls several methods of the model, and some parameters have a gradient only in some steps.
 
     Attributes:
         rank: number of this rank, from 0.
@@ -62,7 +62,7 @@ class ProcessGroup:
         return range(self.rank, frames, self.size)
 
     def first_ranks_frame(self, frame: int) -> int:
-        """Return the index of the last frame that rank 0 owns, up to and including the index ``frame``."""
+        """Return the largest index of a frame that rank 0 owns among the indices up to ``frame``, inclusive."""
         return frame - frame % self.size
 
     @property

@@ -122,7 +122,7 @@ def jump_ratio(images: Sequence[Image]) -> float:
     If the camera moves slowly in equal steps and the image changes smoothly, the ratio is close to 1.
 
     Args:
-        images: at least 3 images (H, W, 3) along the path.
+        images: at least 3 images (H, W, 3), rendered along a camera path.
     """
     steps = [float(np.abs(after - before).mean()) for before, after in pairwise(images)]
     return max(steps) / max(float(np.median(steps)), 1e-12)

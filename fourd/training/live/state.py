@@ -27,8 +27,9 @@ MAX_STATE_BYTES = 1 << 14
 MAX_REASON = 500
 """Maximum number of characters of each text in a :class:`TrainingState`."""
 SILENT_SECONDS = 60.0
-"""Maximum age, in seconds, of the last state of a training process that is assumed to be still running. The age is used
-only if the process's lock cannot be tested, because it runs on another machine or the system has no locks."""
+"""A training process is assumed to have ended if the last state that it wrote is older than this number of seconds. The
+age is used only if the lock of the process cannot be tested, because the process runs on another machine or the system
+has no locks."""
 
 Phase = Literal["training", "paused", "finished", "stopped", "failed"]
 
@@ -85,11 +86,11 @@ def read_state(run: Path) -> TrainingState | None:
 
 @contextmanager
 def training_lock(run: Path) -> Iterator[None]:
-    """Hold a lock that shows other processes that this process trains a run, until the ``with`` block or the process
-    ends.
+    """Hold a lock until the ``with`` block or the process ends. From the lock, other processes see that this process
+    trains the run.
 
     The lock is a shared flock on the folder ``live/``, which is created if it is missing. It does not prevent a second
-    process from training the same run, which is the purpose of the lock on the run's own folder; see
+    process from training the same run. Another lock, on the run's own folder, does that; see
     :func:`fourd.processes.locked_folder`. On Windows, nothing is locked.
     """
     folder = run / LIVE

@@ -22,7 +22,8 @@ class RenderedStep:
         sample: the frame and views of the step.
         prediction: (H, W, 3) rendered image on the step's background colour.
         truth: (H, W, 3) true image on the step's background colour.
-        coverage: (H, W) rendered alpha of the foreground or, if the target is a plate, of the background.
+        coverage: (H, W) rendered alpha of the foreground or, if the target is a plate (an image of the empty scene), of
+            the background.
         matte: (H, W) true alpha of the foreground, or None if the target is a plate.
         sh: (M, 3, 16) SH coefficients of the visible foreground points, or None if the target is a plate or the model
             uses no SH.

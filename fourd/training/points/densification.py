@@ -15,8 +15,9 @@ from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.spacing import point_spacings
 
 NEIGHBOURS = 3
-"""Number of nearest neighbours from which the partner of a split point (the parent) is chosen at random. The split adds
-a new point midway between parent and partner, which is close to the surface because the two are near neighbours."""
+"""A point that is split (the parent) gets a partner, which is chosen at random from this number of nearest neighbours.
+The split adds a new point midway between parent and partner. The new point is close to the surface, because the two are
+near neighbours."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +55,9 @@ def densify(points: FramePoints, config: DensifyConfig, unobserved: Tensor, seed
     fresh optimizer state and an empty gradient history.
 
     Args:
-        points: the cloud.
+        points: the points of one frame or of the background.
         config: limits of densification.
-        unobserved: (N,) bool, true for points to remove. Permanent points are kept even if they are marked.
+        unobserved: (N,) bool, true for points to remove. Points with ``is_permanent`` are kept in any case.
         seed: seed of the random choice of partners.
     """
     count = points.xyz.shape[0]

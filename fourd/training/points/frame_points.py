@@ -41,8 +41,8 @@ class FramePoints:
         is_permanent: (N,) bool, whether densification keeps the point even if it never gets a gradient.
         age: scalar, number of training steps on these points.
         initial_count: scalar, number of points before training.
-        local_planes: (N, 4) planes fitted to the neighbours of each point; see ``fit_planes``. None until the planes
-            are first fitted, and again after points were added or removed.
+        local_planes: (N, 4) planes fitted to the neighbours of each point; see ``fit_planes``. None before the first
+            fit, and after points were added or removed until the next fit.
     """
 
     spacing: Tensor

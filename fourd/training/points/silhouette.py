@@ -18,10 +18,11 @@ def revert_moves_out_of_silhouettes(
 ) -> None:
     """Undo each move that took a point out of the silhouette in at least one view.
 
-    A view has no effect on points that were outside its silhouette before the move or are outside its image after it.
+    In this view, the point must be inside the silhouette before the move, and outside the silhouette but still inside
+    the image after the move.
 
     Args:
-        points: the cloud. Positions are changed in place.
+        points: the points of a frame. Their positions are changed in place.
         rows: (M,) indices of the points that moved.
         before: (M, 3) positions of the moved points before the move.
         views: groups of views. Each group consists of V pinhole cameras with equal image sizes, and their mattes (V, H,

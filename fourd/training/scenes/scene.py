@@ -52,7 +52,7 @@ class OptimizedPoints:
     """The M points of one cloud that are visible in a step, evaluated for the target camera.
 
     Attributes:
-        cloud: the whole cloud.
+        cloud: all points of the cloud: the points of a frame, or those of the background.
         rows: (M,) indices of the visible points.
         parameters: name -> optimised tensor of the visible points. Each tensor is an autograd leaf that receives the
             gradient of the loss.

@@ -22,7 +22,8 @@ def kept_points(count: int, share: float, *, is_first: bool) -> NDArray[np.int64
     Args:
         count: number of points of the segment in this frame, in Morton order.
         share: fraction of the segment's points that are chosen in this frame, in [0, 1].
-        is_first: whether the segment is the earlier of the two, which choose complementary indices.
+        is_first: whether the segment is the earlier of the two segments. If their fractions sum to 1, the two segments
+            choose complementary indices.
     """
     phase = np.arange(count) * GOLDEN_RATIO % 1.0
     return np.flatnonzero(phase >= 1.0 - share if is_first else phase < share)

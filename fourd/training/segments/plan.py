@@ -53,7 +53,7 @@ def frame_range(numbers: Sequence[int], frames: range) -> str:
     """Return the config value ``frames`` (A:B or A:B:S) that selects the frames of a segment.
 
     Args:
-        numbers: indices of all frames of the run in the capture, evenly spaced.
+        numbers: for each frame of the run, its index in the capture. The indices are evenly spaced.
         frames: indices of the segment's frames in ``numbers``.
     """
     step = numbers[1] - numbers[0] if len(numbers) > 1 else 1

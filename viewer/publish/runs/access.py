@@ -93,8 +93,9 @@ class Access:
         accepted.
 
         A page of another site must not control the training through the user's browser. The request therefore needs the
-        header X-Fourd-Request, because a browser lets pages of other sites send it only with this server's permission,
-        which the server never gives. If the request also has an Origin header, it must name this server.
+        header X-Fourd-Request. Before a browser sends this header for a page of another site, it asks this server for
+        permission (CORS preflight), and the server never gives it. If the request also has an Origin header, it must
+        name this server.
         """
         if headers.get(REQUEST_HEADER) != "control":
             return f"Requests to a training need the header {REQUEST_HEADER}: control."

@@ -179,7 +179,8 @@ def _parse_query(query: str) -> dict[str, list[str]]:
 
 
 def _parse_request(content: bytes) -> tuple[str, str] | None:
-    """Return the session and the action that a request contains, or None if its content is not valid."""
+    """Return the training session (an id) and the action that a request contains, or None if its content is not
+    valid."""
     try:
         found = json.loads(content)
     except (ValueError, RecursionError):

@@ -62,7 +62,7 @@ class RunSite:
     Args:
         run: the run's folder.
         folder: the folder to which the page is written. It must not exist.
-        tier: tier with which the scene is packed.
+        tier: tier (quality, such as "stream") in which the scene is packed.
         console: prints the progress of baking.
         styles: the styles that the player offers, by name. If None, the player offers the presets.
     """
@@ -125,7 +125,14 @@ class RunSite:
         return _to_json({"state": state, "step": max(steps, default=-1), "message": error})
 
     def control(self, session: str, action: str) -> None:
-        """Send a request to the training. Raises Refused."""
+        """Send a request to the training.
+
+        Args:
+            session: id of the training session for which the request was made. A resumed run has a new session.
+            action: one of ACTIONS.
+
+        Raises Refused.
+        """
         active = find_active(self.run)
         known = next((each for each in ACTIONS if each == action), None)
         if known is None:
@@ -160,8 +167,8 @@ class RunSite:
             is_busy = find_active(self.run).phase == "training"
             self._next_bake = time.monotonic() + (used / core_count() / BAKING_SHARE if is_busy else 0.0)
         finally:
-            # This is reset only after _next_bake is set. Otherwise, a request between the two would report that the
-            # next baking has already started.
+            # _next_bake is set before this is reset. In the opposite order, a request that arrives between the two
+            # steps would report that the next baking has already started.
             self._is_baking = False
 
     def _current(self) -> _Answers:

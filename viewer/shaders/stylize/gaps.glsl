@@ -7,7 +7,7 @@ uniform sampler2D normal;
 layout(location = 0) out float closed_depth;
 layout(location = 1) out vec4 closed_normal;
 
-const int GAP = 3;  // A pixel is filled if it has surfaces on both sides within GAP pixels.
+const int GAP = 3;  // On each side of a pixel, a surface is searched within GAP pixels.
 
 ivec2 inside(ivec2 pixel) { return clamp(pixel, ivec2(0), textureSize(inverse_depth, 0) - 1); }
 

@@ -3,7 +3,7 @@
 // fourd/ops/stylize/parameters.py). Row 0 of the result is the top of the image. This code is also valid GLSL ES 3.00.
 
 uniform sampler2D colours;  // Colours, normals and depths are premultiplied by alpha.
-uniform sampler2D normals;    // Normals times front_weight.
+uniform sampler2D normals;    // Normals times front_weight, the weight of a point (octahedral.glsl).
 uniform sampler2D depths;     // Four channels: front_weight * depth / depth_unit, front_weight, 0, and alpha.
 uniform float depth_unit;     // Length of the unit of `depths`, in world units.
 uniform bool is_upside_down;  // Whether row 0 of the inputs is the bottom of the image.
