@@ -109,7 +109,7 @@ def main(arguments: Arguments) -> int:
 
 
 def measure_run(trained: TrainedRun, arguments: Arguments) -> RunQuality:
-    """Measure a run at the number of frames that ``arguments`` requests."""
+    """Measure the image quality of a run, on the number of frames that ``arguments.frames`` gives."""
     count = trained.run.capture.frame_count
     frames = sorted(set(np.linspace(0, count - 1, arguments.frames or count).round().astype(int).tolist()))
     console = Console(stderr=True)

@@ -175,7 +175,7 @@ class App:
 
     @property
     def _is_settling(self) -> bool:
-        """Whether playback is paused, and more images are needed until the lines of a style have faded in."""
+        """Return True if playback is paused but more images must be drawn, because lines of a style are fading in."""
         return self._state.renderer.is_settling and not self._state.session.playback.is_playing
 
     def _title(self) -> str:

@@ -45,10 +45,17 @@ void blend_backward(const Arguments::Colours& colours, const Arguments::Rast& ra
 void bind_antialias(nb::module_& module) {
     module.def("antialias", &blend, nb::arg("color"), nb::arg("rast"), nb::arg("pos"), nb::arg("tri"),
                nb::arg("opposite"), nb::arg("instanced"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
-               nb::arg("codes"), "Documented in fourd.ops.antialias.op.");
+               nb::arg("codes"),
+               "Documented in fourd.ops.antialias.op.\n"
+               "Sizes: color=B,H,W,C rast=B,H,W pos=1,V tri=T tri<V opposite=T opposite<V out=B,H,W,C codes=B,H,W\n"
+               "Sizes: color=B,H,W,C rast=B,H,W pos=B,V tri=T tri<V opposite=T opposite<V out=B,H,W,C codes=B,H,W");
     module.def("antialias_backward", &blend_backward, nb::arg("color"), nb::arg("rast"), nb::arg("pos"), nb::arg("tri"),
                nb::arg("instanced"), nb::arg("threads"), nb::arg("simd"), nb::arg("gradient"), nb::arg("codes"),
-               nb::arg("boost"), nb::arg("out_color").none(), nb::arg("out_pos").none());
+               nb::arg("boost"), nb::arg("out_color").none(), nb::arg("out_pos").none(),
+               "Sizes: color=B,H,W,C rast=B,H,W pos=1,V tri=T tri<V gradient=B,H,W,C codes=B,H,W out_color=B,H,W,C "
+               "out_pos=1,V\n"
+               "Sizes: color=B,H,W,C rast=B,H,W pos=B,V tri=T tri<V gradient=B,H,W,C codes=B,H,W out_color=B,H,W,C "
+               "out_pos=B,V");
 }
 
 }  // namespace fourd

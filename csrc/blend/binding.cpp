@@ -71,11 +71,14 @@ void logits_backward(const Array<const float, 2>& point, const Array<const float
 
 void bind_blend(nb::module_& module) {
     module.def("blend_logits", &logits, nb::arg("point"), nb::arg("samples"), nb::arg("weight"), nb::arg("out"),
-               nb::arg("bias"), nb::arg("range"), nb::arg("threads"), nb::arg("simd"), nb::arg("logits"));
+               nb::arg("bias"), nb::arg("range"), nb::arg("threads"), nb::arg("simd"), nb::arg("logits"),
+               "Sizes: point=N,H samples=V,C,N weight=C,H out=H logits=V,N");
     module.def("blend_logits_backward", &logits_backward, nb::arg("point"), nb::arg("samples"), nb::arg("weight"),
                nb::arg("out"), nb::arg("bias"), nb::arg("range"), nb::arg("threads"), nb::arg("simd"),
                nb::arg("logits"), nb::arg("grad_logits"), nb::arg("out_point"), nb::arg("out_samples"),
-               nb::arg("out_weight"), nb::arg("out_out"), nb::arg("out_bias"));
+               nb::arg("out_weight"), nb::arg("out_out"), nb::arg("out_bias"),
+               "Sizes: point=N,H samples=V,C,N weight=C,H out=H logits=V,N grad_logits=V,N out_point=N,H "
+               "out_samples=V,C,N out_weight=C,H out_out=H out_bias=1");
 }
 
 }  // namespace fourd

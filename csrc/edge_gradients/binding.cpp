@@ -30,7 +30,12 @@ void compute(const Arguments::Colours& colours, const Arguments::Rast& rast, con
 void bind_edge_gradients(nb::module_& module) {
     module.def("edge_gradients", &compute, nb::arg("color"), nb::arg("rast"), nb::arg("pos"), nb::arg("tri"),
                nb::arg("opposite"), nb::arg("instanced"), nb::arg("threads"), nb::arg("simd"), nb::arg("gradient"),
-               nb::arg("out_pos"), "Documented in fourd.ops.edge_gradients.op.");
+               nb::arg("out_pos"),
+               "Documented in fourd.ops.edge_gradients.op.\n"
+               "Sizes: color=B,H,W,C rast=B,H,W pos=1,V tri=T tri<V opposite=T opposite<V gradient=B,H,W,C "
+               "out_pos=1,V\n"
+               "Sizes: color=B,H,W,C rast=B,H,W pos=B,V tri=T tri<V opposite=T opposite<V gradient=B,H,W,C "
+               "out_pos=B,V");
 }
 
 }  // namespace fourd

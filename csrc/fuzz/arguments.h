@@ -70,7 +70,8 @@ class ArgumentMaker {
         return out;
     }
 
-    // Camera matrices (K, R and T) are usually valid, because an invalid camera sees no points.
+    // Makes a list of numbers. Camera matrices (K, R and T) are usually valid, because with an invalid camera, the
+    // points are culled and most of the code does not run.
     nb::object numbers(const Parameter& parameter, const Rule& rule) {
         const bool is_camera = parameter.name == "camera" || parameter.name == "cameras";
         const bool is_softness = parameter.name == "softness";

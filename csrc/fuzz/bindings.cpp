@@ -13,7 +13,6 @@
 
 #include "fuzz/arguments.h"
 #include "fuzz/rules.h"
-#include "fuzz/shapes.h"
 #include "fuzz/signature.h"
 
 extern "C" PyObject* PyInit__native();
@@ -30,8 +29,9 @@ constexpr int kThreads = 3;  // Number of threads that call the same functions a
 #else
 constexpr int kThreads = 1;
 #endif
-constexpr unsigned kTries = 20000;  // At its start, the program checks each rule of each function with at most this
-                                    // number of random calls.
+// At its start, the program checks all rules for the sizes of arguments (rules.h). For each rule, it makes random
+// calls until the function accepts one, but at most this number.
+constexpr unsigned kTries = 20000;
 
 struct Function {
     std::string name;
@@ -49,15 +49,6 @@ struct State {
 // This object is never deleted, because the interpreter ends before the destructors of static objects run.
 State* state = nullptr;
 
-std::vector<Rules> rules_of(const std::string& name) {
-    std::vector<Rules> out;
-    for (const Shapes& shapes : kShapes) {
-        if (name == shapes.function) out.push_back(parse_rules(shapes.rules));
-    }
-    if (out.empty()) out.emplace_back();
-    return out;
-}
-
 void add_functions(const nb::object& owner, const std::string& prefix, bool is_class) {
     for (nb::handle key : nb::object(owner.attr("__dict__")).attr("keys")()) {
         const std::string name = nb::cast<std::string>(nb::str(key));
@@ -67,8 +58,10 @@ void add_functions(const nb::object& owner, const std::string& prefix, bool is_c
         } else if (nb::hasattr(value, "__nb_signature__") && name[0] != '_') {
             const nb::object overload = value.attr("__nb_signature__")[0];
             const std::string signature = nb::cast<std::string>(nb::str(nb::object(overload[0])));
-            Function function{prefix + name, value, is_class ? owner : nb::none(), parse_signature(signature), {}};
-            function.rules = rules_of(function.name);
+            const nb::object docstring = overload[1];
+            const std::string text = docstring.is_none() ? "" : nb::cast<std::string>(docstring);
+            Function function{prefix + name, value, is_class ? owner : nb::none(), parse_signature(signature),
+                              rules_of(text)};
             if (!function.parameters.empty()) state->functions.push_back(std::move(function));
         }
     }
@@ -114,7 +107,7 @@ bool try_call(const Function& function, const Rules& rules, Bytes& bytes) {
     return false;
 }
 
-// Finds outdated rules for argument sizes (shapes.h). A rule is outdated if the function has changed so that every
+// Finds outdated rules for argument sizes (rules.h). A rule is outdated if the function has changed so that every
 // call with the rule fails.
 void check_rules() {
     for (const Function& function : state->functions) {
@@ -123,7 +116,7 @@ void check_rules() {
             for (bool is_accepted = false; !is_accepted; ++tries) {
                 if (tries == kTries) {
                     std::fprintf(stderr, "%s: expected arguments that the function accepts, got none in %u tries; correct "
-                                 "the rule in csrc/fuzz/shapes.h\n", function.name.c_str(), kTries);
+                                 "the sizes in its docstring\n", function.name.c_str(), kTries);
                     std::exit(2);
                 }
                 Values values(tries);

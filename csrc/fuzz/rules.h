@@ -1,4 +1,14 @@
-// Parses the rules of shapes.h, and evaluates the rules of one call.
+// Parses the rules for the sizes of a bound function's arguments, and evaluates the rules of one call. A fuzzer needs
+// them because few combinations of random sizes would be valid.
+//
+// The docstring of every bound function with array arguments contains a line `Sizes: RULE RULE ...`. A function that
+// accepts several combinations of sizes has one such line for each of them.
+//
+// A rule NAME=A,B gives the sizes of the free axes (axes that may have any size) of the array NAME, or the value of the
+// integer argument NAME. NAME*L gives the length L of a list. NAME*L=A,B gives the length, and the sizes of the arrays
+// in the list. NAME<N limits the values of an int32 array to the range from 0 to N - 1. A capital letter stands for the
+// same size everywhere in one call. 2AB is a product, and A+B is a sum. A> is the size A, halved once for each
+// preceding array of the list, but at least 1. Sizes without a rule are chosen independently.
 #pragma once
 
 #include <algorithm>
@@ -29,6 +39,18 @@ inline Rules parse_rules(const std::string& text) {
         if (part[end] == '*') rule.length = part.substr(end + 1, equals - end - 1);
         if (equals != std::string::npos) rule.axes = split(part.substr(equals + 1), ',');
     }
+    return out;
+}
+
+// Parses all lines `Sizes: ...` of a docstring. The result has at least one element; without such a line, it has no
+// rules.
+inline std::vector<Rules> rules_of(const std::string& docstring) {
+    constexpr const char* kStart = "Sizes:";
+    std::vector<Rules> out;
+    for (const std::string& line : split(docstring, '\n')) {
+        if (line.rfind(kStart, 0) == 0) out.push_back(parse_rules(line.substr(std::string(kStart).size())));
+    }
+    if (out.empty()) out.emplace_back();
     return out;
 }
 

@@ -48,10 +48,13 @@ void encode_backward(const PointsIn& coordinates, const RowsIn& table, const std
 void bind_hashgrid(nb::module_& module) {
     module.def("encode_hash_grid", &encode, nb::arg("coordinates"), nb::arg("table"), nb::arg("resolutions"),
                nb::arg("log2_entries"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
-               "Documented in fourd.ops.hashgrid.op.");
+               "Documented in fourd.ops.hashgrid.op.\n"
+               "Sizes: resolutions*L coordinates=N log2_entries=3 table=8L,F out=N,LF");
     module.def("encode_hash_grid_backward", &encode_backward, nb::arg("coordinates"), nb::arg("table"),
                nb::arg("resolutions"), nb::arg("log2_entries"), nb::arg("threads"), nb::arg("simd"),
-               nb::arg("gradient"), nb::arg("out_table").none(), nb::arg("out_coordinates").none());
+               nb::arg("gradient"), nb::arg("out_table").none(), nb::arg("out_coordinates").none(),
+               "Sizes: resolutions*L coordinates=N log2_entries=3 table=8L,F gradient=N,LF out_table=8L,F "
+               "out_coordinates=N");
 }
 
 }  // namespace fourd

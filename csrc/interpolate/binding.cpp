@@ -49,11 +49,20 @@ void interpolate_attributes_backward(const AttributesIn& attr, const ImageIn& ra
 void bind_interpolate(nb::module_& module) {
     module.def("interpolate_attributes", &interpolate_attributes, nb::arg("attr"), nb::arg("rast"), nb::arg("tri"),
                nb::arg("rast_db").none(), nb::arg("diff"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
-               nb::arg("out_da"), "Documented in fourd.ops.interpolate.op.");
+               nb::arg("out_da"),
+               "Documented in fourd.ops.interpolate.op.\n"
+               "Sizes: attr=1,V,C rast=B,H,W,4 tri=T tri<V rast_db=B,H,W,4 diff=D diff<C out=B,H,W,C "
+               "out_da=B,H,W,2D\n"
+               "Sizes: attr=B,V,C rast=B,H,W,4 tri=T tri<V rast_db=B,H,W,4 diff=D diff<C out=B,H,W,C "
+               "out_da=B,H,W,2D");
     module.def("interpolate_attributes_backward", &interpolate_attributes_backward, nb::arg("attr"), nb::arg("rast"),
                nb::arg("tri"), nb::arg("rast_db").none(), nb::arg("diff"), nb::arg("threads"), nb::arg("simd"),
                nb::arg("grad_out"), nb::arg("grad_da"), nb::arg("grad_attr").none(), nb::arg("grad_rast").none(),
-               nb::arg("grad_db").none());
+               nb::arg("grad_db").none(),
+               "Sizes: attr=1,V,C rast=B,H,W,4 tri=T tri<V rast_db=B,H,W,4 diff=D diff<C grad_out=B,H,W,C "
+               "grad_da=B,H,W,2D grad_attr=1,V,C grad_rast=B,H,W,4 grad_db=B,H,W,4\n"
+               "Sizes: attr=B,V,C rast=B,H,W,4 tri=T tri<V rast_db=B,H,W,4 diff=D diff<C grad_out=B,H,W,C "
+               "grad_da=B,H,W,2D grad_attr=B,V,C grad_rast=B,H,W,4 grad_db=B,H,W,4");
 }
 
 }  // namespace fourd

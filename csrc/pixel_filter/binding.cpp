@@ -24,7 +24,8 @@ void run(const PixelArray<const std::uint8_t, Where>& image, float side, int thr
 
 void bind_pixel_filter(nb::module_& module) {
     module.def("filter_pixels", &run, nb::arg("image"), nb::arg("side"), nb::arg("threads"), nb::arg("simd"),
-               nb::arg("out"));
+               nb::arg("out"),
+               "Sizes: image=H,W out=H,W");
 }
 
 }  // namespace fourd

@@ -43,10 +43,13 @@ void sample_planes_backward(const Arguments::Coordinates& coordinates, const std
 
 void bind_planes(nb::module_& module) {
     module.def("sample_planes", &sample_planes, nb::arg("coordinates"), nb::arg("planes"), nb::arg("axes"),
-               nb::arg("threads"), nb::arg("simd"), nb::arg("out"), "Documented in fourd.ops.planes.op.");
+               nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
+               "Documented in fourd.ops.planes.op.\n"
+               "Sizes: coordinates=N planes*P=H,W,F axes*2P out=N,PF");
     module.def("sample_planes_backward", &sample_planes_backward, nb::arg("coordinates"), nb::arg("planes"),
                nb::arg("axes"), nb::arg("threads"), nb::arg("simd"), nb::arg("gradient"), nb::arg("out_planes"),
-               nb::arg("out_coordinates").none());
+               nb::arg("out_coordinates").none(),
+               "Sizes: coordinates=N planes*P=H,W,F axes*2P gradient=N,PF out_planes*P=H,W,F out_coordinates=N");
 }
 
 }  // namespace fourd

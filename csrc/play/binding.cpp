@@ -86,16 +86,21 @@ void bind_play(nb::module_& module) {
              nb::arg("blend_weights"), nb::arg("rgb"), nb::arg("chosen"), nb::arg("view_weights"), nb::arg("centre"),
              nb::arg("sh_range"), nb::arg("sh_base"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"),
              nb::arg("transmittance_min"), nb::arg("background"), nb::arg("pixel_filter"), nb::arg("threads"),
-             nb::arg("simd"), nb::arg("out"));
+             nb::arg("simd"), nb::arg("out"),
+             "Sizes: xyz=N radius=N density=N sh=N blend_weights=N,V rgb=N,V chosen=K chosen<V view_weights=K "
+             "camera*21 background*3 out=H,W");
     player.def("draw_surface", &draw_surface, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("sh"),
                nb::arg("blend_weights"), nb::arg("rgb"), nb::arg("normals"), nb::arg("chosen"),
                nb::arg("view_weights"), nb::arg("centre"), nb::arg("sh_range"), nb::arg("sh_base"), nb::arg("camera"),
                nb::arg("layers"), nb::arg("near"), nb::arg("transmittance_min"), nb::arg("persistence"),
-               nb::arg("threads"), nb::arg("simd"), nb::arg("albedo"), nb::arg("inverse_depth"), nb::arg("normal"));
+               nb::arg("threads"), nb::arg("simd"), nb::arg("albedo"), nb::arg("inverse_depth"), nb::arg("normal"),
+               "Sizes: xyz=N radius=N density=N sh=N blend_weights=N,V rgb=N,V normals=N chosen=K chosen<V "
+               "view_weights=K camera*21 albedo=H,W inverse_depth=H,W normal=H,W");
     nb::class_<play::DepthSorter>(module, "DepthSorter", "Sorts points by depth. Threads must not share an instance.")
         .def(nb::init<>())
         .def("sort", &sort, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("camera"), nb::arg("width"),
-             nb::arg("height"), nb::arg("near"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"));
+             nb::arg("height"), nb::arg("near"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
+             "Sizes: xyz=N radius=N density=N camera*21 width=W height=H out=N");
 }
 
 }  // namespace fourd

@@ -72,14 +72,19 @@ void visibility(const Arguments::Xyz& xyz, const Arguments::Column& radius, cons
 void bind_points(nb::module_& module) {
     module.def("render_points", &render, nb::arg("xyz"), nb::arg("features"), nb::arg("radius"), nb::arg("density"),
                nb::arg("camera"), nb::arg("layers"), nb::arg("near"), nb::arg("transmittance_min"), nb::arg("threads"),
-               nb::arg("simd"), nb::arg("out_features"), nb::arg("out_alpha"), nb::arg("out_depth"));
+               nb::arg("simd"), nb::arg("out_features"), nb::arg("out_alpha"), nb::arg("out_depth"),
+               "Sizes: xyz=N features=N,C radius=N density=N camera*21 out_features=H,W,C out_alpha=H,W "
+               "out_depth=H,W");
     module.def("render_points_backward", &render_backward, nb::arg("xyz"), nb::arg("features"), nb::arg("radius"),
                nb::arg("density"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"), nb::arg("threads"),
                nb::arg("simd"), nb::arg("grad_features"), nb::arg("grad_alpha"), nb::arg("grad_depth").none(),
-               nb::arg("out_xyz"), nb::arg("out_features"), nb::arg("out_radius"), nb::arg("out_density"));
+               nb::arg("out_xyz"), nb::arg("out_features"), nb::arg("out_radius"), nb::arg("out_density"),
+               "Sizes: xyz=N features=N,C radius=N density=N camera*21 grad_features=H,W,C grad_alpha=H,W "
+               "grad_depth=H,W out_xyz=N out_features=N,C out_radius=N out_density=N");
     module.def("point_visibility", &visibility, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"),
                nb::arg("camera"), nb::arg("width"), nb::arg("height"), nb::arg("layers"), nb::arg("near"),
-               nb::arg("threads"), nb::arg("simd"), nb::arg("out"));
+               nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
+               "Sizes: xyz=N radius=N density=N camera*21 width=W height=H out=N");
 }
 
 }  // namespace fourd

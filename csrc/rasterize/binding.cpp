@@ -47,10 +47,15 @@ void rasterize_triangles_backward(const PositionsIn& pos, const Arguments::Trian
 void bind_rasterize(nb::module_& module) {
     module.def("rasterize_triangles", &rasterize_triangles, nb::arg("pos"), nb::arg("tri"), nb::arg("ranges").none(),
                nb::arg("previous").none(), nb::arg("threads"), nb::arg("simd"), nb::arg("rast"),
-               nb::arg("rast_db").none(), "Documented in fourd.ops.rasterize.op.");
+               nb::arg("rast_db").none(),
+               "Documented in fourd.ops.rasterize.op.\n"
+               "Sizes: pos=1,V tri=T tri<V ranges=B ranges<T previous=B,H,W rast=B,H,W rast_db=B,H,W\n"
+               "Sizes: pos=B,V tri=T tri<V previous=B,H,W rast=B,H,W rast_db=B,H,W");
     module.def("rasterize_triangles_backward", &rasterize_triangles_backward, nb::arg("pos"), nb::arg("tri"),
                nb::arg("ranges").none(), nb::arg("rast"), nb::arg("threads"), nb::arg("simd"), nb::arg("grad_rast"),
-               nb::arg("grad_db").none(), nb::arg("grad_pos"));
+               nb::arg("grad_db").none(), nb::arg("grad_pos"),
+               "Sizes: pos=1,V tri=T tri<V ranges=B ranges<T rast=B,H,W grad_rast=B,H,W grad_db=B,H,W grad_pos=1,V\n"
+               "Sizes: pos=B,V tri=T tri<V rast=B,H,W grad_rast=B,H,W grad_db=B,H,W grad_pos=B,V");
 }
 
 }  // namespace fourd

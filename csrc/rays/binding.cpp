@@ -123,25 +123,37 @@ void composite_discs(const Arguments::NodeRows& nodes, const Arguments::DiscRows
 }  // namespace
 
 void bind_rays(nb::module_& module) {
-    module.def("build_rays", &build_rays, nb::arg("xyz"), nb::arg("tri"), nb::arg("threads"));
+    module.def("build_rays", &build_rays, nb::arg("xyz"), nb::arg("tri"), nb::arg("threads"),
+               "Sizes: xyz=V tri=T tri<V");
     module.def("refit_rays", &refit_rays, nb::arg("xyz"), nb::arg("tri"), nb::arg("threads"), nb::arg("nodes"),
-               nb::arg("blocks"));
-    module.def("rays_cost", &rays_cost, nb::arg("nodes"), nb::arg("blocks"));
+               nb::arg("blocks"),
+               "Sizes: xyz=V tri=T tri<V");
+    module.def("rays_cost", &rays_cost, nb::arg("nodes"), nb::arg("blocks"),
+               "Sizes:");
     module.def("trace_rays", &trace_rays, nb::arg("nodes"), nb::arg("blocks"), nb::arg("magnitude"), nb::arg("origins"),
                nb::arg("directions"), nb::arg("t_min"), nb::arg("t_max"), nb::arg("after_t").none(),
                nb::arg("after_triangle").none(), nb::arg("threads"), nb::arg("simd"), nb::arg("t"), nb::arg("u"),
-               nb::arg("v"), nb::arg("triangle"));
+               nb::arg("v"), nb::arg("triangle"),
+               "Sizes: origins=N directions=N t_min=1 t_max=N after_t=N after_triangle=N after_triangle<T t=N,L "
+               "u=N,L v=N,L triangle=N,L\n"
+               "Sizes: origins=N directions=N t_min=N t_max=1 after_t=N after_triangle=N after_triangle<T t=N,L "
+               "u=N,L v=N,L triangle=N,L");
     module.def("occluded_rays", &occluded_rays, nb::arg("nodes"), nb::arg("blocks"), nb::arg("magnitude"),
                nb::arg("origins"), nb::arg("directions"), nb::arg("t_min"), nb::arg("t_max"), nb::arg("threads"),
-               nb::arg("simd"), nb::arg("out"));
+               nb::arg("simd"), nb::arg("out"),
+               "Sizes: origins=N directions=N t_min=1 t_max=N out=N");
     module.def("trace_rays_backward", &trace_rays_backward, nb::arg("xyz"), nb::arg("tri"), nb::arg("origins"),
                nb::arg("directions"), nb::arg("t"), nb::arg("u"), nb::arg("v"), nb::arg("triangle"), nb::arg("to_t"),
                nb::arg("to_u"), nb::arg("to_v"), nb::arg("threads"), nb::arg("to_xyz"), nb::arg("to_origins"),
-               nb::arg("to_directions"));
-    module.def("build_discs", &build_discs, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("threads"));
+               nb::arg("to_directions"),
+               "Sizes: xyz=V tri=T tri<V origins=N directions=N t=N,L u=N,L v=N,L triangle=N,L triangle<T to_t=N,L "
+               "to_u=N,L to_v=N,L to_xyz=V to_origins=N to_directions=N");
+    module.def("build_discs", &build_discs, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("threads"),
+               "Sizes: xyz=D radius=D density=D");
     module.def("composite_discs", &composite_discs, nb::arg("nodes"), nb::arg("blocks"), nb::arg("magnitude"),
                nb::arg("colours"), nb::arg("origins"), nb::arg("directions"), nb::arg("t_min"), nb::arg("t_max"),
-               nb::arg("facing").none(), nb::arg("layers"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"));
+               nb::arg("facing").none(), nb::arg("layers"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
+               "Sizes: colours=D origins=N directions=N t_min=1 t_max=N out=N");
 }
 
 }  // namespace fourd

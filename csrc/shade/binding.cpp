@@ -37,7 +37,8 @@ void bind_shade(nb::module_& module) {
                nb::arg("chosen"), nb::arg("view_weights"), nb::arg("centre"), nb::arg("sh_range"), nb::arg("sh_base"),
                nb::arg("threads"), nb::arg("simd"),
                "Colour (N, 3) of baked points; float16 arrays are passed as uint16 with the same bits. "
-               "Documented in fourd.ops.shade.op.");
+               "Documented in fourd.ops.shade.op.\n"
+               "Sizes: xyz=N sh=N blend_weights=N,V rgb=N,V chosen=K chosen<V view_weights=K");
 }
 
 }  // namespace fourd

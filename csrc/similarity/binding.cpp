@@ -49,7 +49,8 @@ double similarity_of(const Picture& picture, const Picture& truth, int threads, 
 
 void bind_similarity(nb::module_& module) {
     module.def("similarity", &similarity_of, nb::arg("picture"), nb::arg("truth"), nb::arg("threads"), nb::arg("simd"),
-               nb::arg("out_gradient").none());
+               nb::arg("out_gradient").none(),
+               "Sizes: picture=H,W,C truth=H,W,C out_gradient=H,W,C");
 }
 
 }  // namespace fourd

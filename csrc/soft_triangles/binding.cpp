@@ -59,10 +59,13 @@ void render_backward(const Arguments::Xyz& xyz, const Arguments::Triangles& tri,
 void bind_soft_triangles(nb::module_& module) {
     module.def("rasterize_soft", &render, nb::arg("xyz"), nb::arg("tri"), nb::arg("features"), nb::arg("camera"),
                nb::arg("softness"), nb::arg("layers"), nb::arg("threads"), nb::arg("simd"), nb::arg("out_features"),
-               nb::arg("out_alpha"));
+               nb::arg("out_alpha"),
+               "Sizes: xyz=V tri=T tri<V features=T,C camera*21 softness*7 out_features=H,W,C out_alpha=H,W");
     module.def("rasterize_soft_backward", &render_backward, nb::arg("xyz"), nb::arg("tri"), nb::arg("features"),
                nb::arg("camera"), nb::arg("softness"), nb::arg("layers"), nb::arg("threads"), nb::arg("simd"),
-               nb::arg("grad_features"), nb::arg("grad_alpha"), nb::arg("out_xyz"), nb::arg("out_features"));
+               nb::arg("grad_features"), nb::arg("grad_alpha"), nb::arg("out_xyz"), nb::arg("out_features"),
+               "Sizes: xyz=V tri=T tri<V features=T,C camera*21 softness*7 grad_features=H,W,C grad_alpha=H,W "
+               "out_xyz=V out_features=T,C");
 }
 
 }  // namespace fourd

@@ -50,10 +50,14 @@ void sample_backward(const Arguments::Xyz& xyz, const Arguments::Images& images,
 void bind_sources(nb::module_& module) {
     module.def("sample_sources", &sample, nb::arg("xyz"), nb::arg("images"), nb::arg("mattes"), nb::arg("depth").none(),
                nb::arg("features").none(), nb::arg("cameras"), nb::arg("softness"), nb::arg("threads"), nb::arg("simd"),
-               nb::arg("out_channels"), nb::arg("out_visibility"));
+               nb::arg("out_channels"), nb::arg("out_visibility"),
+               "Sizes: xyz=N images=B,H,W mattes=B,H,W depth=B,H,W features=B,Y,X,C cameras*21B softness=N "
+               "out_channels=B,C+3,N out_visibility=B,N");
     module.def("sample_sources_backward", &sample_backward, nb::arg("xyz"), nb::arg("images"), nb::arg("mattes"),
                nb::arg("features").none(), nb::arg("cameras"), nb::arg("threads"), nb::arg("simd"), nb::arg("gradient"),
-               nb::arg("out_xyz"), nb::arg("out_features").none());
+               nb::arg("out_xyz"), nb::arg("out_features").none(),
+               "Sizes: xyz=N images=B,H,W mattes=B,H,W features=B,Y,X,C cameras*21B gradient=B,C+3,N out_xyz=N "
+               "out_features=B,Y,X,C");
 }
 
 }  // namespace fourd

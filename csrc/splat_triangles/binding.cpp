@@ -76,14 +76,26 @@ void bind_splat_triangles(nb::module_& module) {
     module.def("splat_triangles", &render, nb::arg("xyz"), nb::arg("tri"), nb::arg("features"), nb::arg("opacity"),
                nb::arg("sigma"), nb::arg("geometry"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"),
                nb::arg("threads"), nb::arg("simd"), nb::arg("out_features"), nb::arg("out_alpha"),
-               nb::arg("out_transmittance"), nb::arg("out_normal"), nb::arg("out_depth"), nb::arg("out_weight"));
+               nb::arg("out_transmittance"), nb::arg("out_normal"), nb::arg("out_depth"), nb::arg("out_weight"),
+               "Sizes: xyz=V tri=T tri<V features=T,C opacity=T sigma=T camera*21 out_features=H,W,C out_alpha=H,W "
+               "out_transmittance=H,W out_normal=H,W,3 out_depth=H,W out_weight=T\n"
+               "Sizes: xyz=V tri=T tri<V features=T,C+4 opacity=T sigma=T camera*21 out_features=H,W,C "
+               "out_alpha=H,W out_transmittance=H,W out_normal=H,W,3 out_depth=H,W out_weight=T");
     module.def("splat_triangles_backward", &render_backward, nb::arg("xyz"), nb::arg("tri"), nb::arg("features"),
                nb::arg("opacity"), nb::arg("sigma"), nb::arg("geometry"), nb::arg("camera"), nb::arg("layers"),
                nb::arg("near"), nb::arg("threads"), nb::arg("simd"), nb::arg("rendered_features"),
                nb::arg("rendered_alpha"), nb::arg("rendered_transmittance"), nb::arg("rendered_normal"),
                nb::arg("rendered_depth"), nb::arg("grad_features"), nb::arg("grad_alpha"), nb::arg("grad_normal"),
                nb::arg("grad_depth"), nb::arg("out_xyz"), nb::arg("out_features"), nb::arg("out_opacity"),
-               nb::arg("out_sigma"));
+               nb::arg("out_sigma"),
+               "Sizes: xyz=V tri=T tri<V features=T,C opacity=T sigma=T camera*21 rendered_features=H,W,C "
+               "rendered_alpha=H,W rendered_transmittance=H,W rendered_normal=H,W,3 rendered_depth=H,W "
+               "grad_features=H,W,C grad_alpha=H,W grad_normal=H,W,3 grad_depth=H,W out_xyz=V out_features=T,C "
+               "out_opacity=T out_sigma=T\n"
+               "Sizes: xyz=V tri=T tri<V features=T,C+4 opacity=T sigma=T camera*21 rendered_features=H,W,C "
+               "rendered_alpha=H,W rendered_transmittance=H,W rendered_normal=H,W,3 rendered_depth=H,W "
+               "grad_features=H,W,C grad_alpha=H,W grad_normal=H,W,3 grad_depth=H,W out_xyz=V out_features=T,C+4 "
+               "out_opacity=T out_sigma=T");
 }
 
 }  // namespace fourd

@@ -73,7 +73,8 @@ void run(const Picture<const std::uint8_t>& albedo, const Plane<const float>& in
 void bind_stylize(nb::module_& module) {
     module.def("stylize", &run, nb::arg("albedo"), nb::arg("inverse_depth"), nb::arg("normal"), nb::arg("numbers"),
                nb::arg("detail"), nb::arg("lines"), nb::arg("thickness"), nb::arg("table"), nb::arg("threads"),
-               nb::arg("simd"), nb::arg("line_state").none(), nb::arg("out"));
+               nb::arg("simd"), nb::arg("line_state").none(), nb::arg("out"),
+               "Sizes: albedo=H,W inverse_depth=H,W normal=H,W numbers=38 table=R line_state=H,W out=H,W");
 }
 
 }  // namespace fourd

@@ -56,12 +56,21 @@ void build_mips(const Arguments::Level& texture, int threads, const std::string&
 void bind_texture(nb::module_& module) {
     module.def("sample_texture", &sample_texture, nb::arg("levels"), nb::arg("uv"), nb::arg("uv_da").none(),
                nb::arg("bias").none(), nb::arg("filter"), nb::arg("boundary"), nb::arg("threads"), nb::arg("simd"),
-               nb::arg("out"), "Documented in fourd.ops.texture.op.");
+               nb::arg("out"),
+               "Documented in fourd.ops.texture.op.\n"
+               "Sizes: levels*L=I,1,H>,W>,C uv=I,N,2 uv_da=I,N,4 bias=I,N out=I,N,C\n"
+               "Sizes: levels*L=1,6,H>,H>,C uv=I,N,3 uv_da=I,N,6 bias=I,N out=I,N,C");
     module.def("sample_texture_backward", &sample_texture_backward, nb::arg("levels"), nb::arg("uv"),
                nb::arg("uv_da").none(), nb::arg("bias").none(), nb::arg("filter"), nb::arg("boundary"),
                nb::arg("threads"), nb::arg("simd"), nb::arg("gradient"), nb::arg("is_chain"), nb::arg("out_levels"),
-               nb::arg("out_uv").none(), nb::arg("out_uv_da").none(), nb::arg("out_bias").none());
-    module.def("build_mips", &build_mips, nb::arg("texture"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"));
+               nb::arg("out_uv").none(), nb::arg("out_uv_da").none(), nb::arg("out_bias").none(),
+               "Sizes: levels*L=I,1,H>,W>,C uv=I,N,2 uv_da=I,N,4 bias=I,N gradient=I,N,C out_levels*L=I,1,H>,W>,C "
+               "out_uv=I,N,2 out_uv_da=I,N,4 out_bias=I,N\n"
+               "Sizes: levels*L=1,6,H>,H>,C uv=I,N,3 uv_da=I,N,6 bias=I,N gradient=I,N,C out_levels*L=1,6,H>,H>,C "
+               "out_uv=I,N,3 out_uv_da=I,N,6 out_bias=I,N");
+    module.def("build_mips", &build_mips, nb::arg("texture"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
+               "Sizes: texture=I,1,2H,2W,C out*L=I,1,H>,W>,C\n"
+               "Sizes: texture=I,6,2H,2H,C out*L=I,6,H>,H>,C");
 }
 
 }  // namespace fourd

@@ -78,12 +78,17 @@ void unpack_views(const std::vector<Bytes>& contents, const Array<const std::uin
 
 void bind_unpack(nb::module_& module) {
     module.def("unpack_harmonics", &unpack_harmonics, nb::arg("content"), nb::arg("basis"), nb::arg("mean"),
-               nb::arg("simd"), nb::arg("out"), "Documented in fourd.ops.unpack.op.");
+               nb::arg("simd"), nb::arg("out"),
+               "Documented in fourd.ops.unpack.op.\n"
+               "Sizes: content=2RN basis=R,48 mean=48 out=N,48");
     module.def("unpack_positions", &unpack_positions, nb::arg("content"), nb::arg("lower"), nb::arg("step"),
-               nb::arg("out"), "Documented in fourd.ops.unpack.op.");
+               nb::arg("out"),
+               "Documented in fourd.ops.unpack.op.\n"
+               "Sizes: content=BN lower=3 out=N,3");
     module.def("unpack_views", &unpack_views, nb::arg("contents"), nb::arg("mean"), nb::arg("weights"),
                nb::arg("colour_step"), nb::arg("every_point_has_colours"), nb::arg("simd"), nb::arg("out_weights"),
-               nb::arg("out_rgb"));
+               nb::arg("out_rgb"),
+               "Sizes: contents*V=N+3N mean=N,3 weights=256 out_weights=N,V out_rgb=N,V");
 }
 
 }  // namespace fourd

@@ -25,7 +25,8 @@ void run(float a, const Values& x, const Values& y, const std::string& simd, con
 }  // namespace
 
 void bind_saxpy(nb::module_& module) {
-    module.def("saxpy", &run, nb::arg("a"), nb::arg("x"), nb::arg("y"), nb::arg("simd"), nb::arg("out"));
+    module.def("saxpy", &run, nb::arg("a"), nb::arg("x"), nb::arg("y"), nb::arg("simd"), nb::arg("out"),
+               "Sizes: x=N y=N out=N");
 }
 
 }  // namespace fourd
