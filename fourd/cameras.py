@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FADE_MARGIN = 1.25
-"""Factor that determines the angle at which the view weight reaches 0, if no other camera determines it; see
+"""A source view's weight decreases with the angle between its camera and the viewing camera. If no further camera
+determines the angle at which the weight reaches 0, this angle is FADE_MARGIN times the largest angle of the views; see
 :func:`fading_weights`.
 """
 

@@ -119,7 +119,7 @@ def remove_unfinished_file(target: Path | str) -> None:
     """
     target = Path(target)
     stem, suffix = glob.escape(target.stem), glob.escape(target.suffix)
-    # A temporary file that is itself written atomically has its own temporary file.
+    # A temporary file can itself be written atomically. The second pattern finds the temporary file that this needs.
     patterns = (f"{UNFINISHED}{stem}-????????{suffix}", f"{UNFINISHED}{UNFINISHED}{stem}-????????-????????{suffix}")
     for path in [path for pattern in patterns for path in target.parent.glob(pattern)]:
         try:

@@ -21,7 +21,7 @@ Item = TypeVar("Item")
 
 MAX_BLOCK = 16
 """Maximum number of items per job: small enough that all cores finish at about the same time, and large enough that
-files are not opened too often."""
+input files, which each job opens again, are not opened too often."""
 POLL_SECONDS = 0.2
 """Interval in seconds at which the queue of results is read."""
 

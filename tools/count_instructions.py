@@ -48,11 +48,12 @@ class Arguments:
     update: bool = False
     """Store the current counts as the accepted counts, instead of comparing."""
     build: Path = ROOT / "build" / "count"
-    """Folder in which the workloads are built."""
+    """Folder in which the program `workload` is built. It runs one kernel on test data."""
 
 
 def main(arguments: Arguments) -> int:
-    """Build the workloads, count their instructions and compare the counts. Return the exit code."""
+    """Build the program, count the instructions of each entry of WORKLOADS and compare the counts. Return the exit
+    code."""
     if shutil.which("valgrind") is None:
         print("count_instructions: expected valgrind, got none; install it (apt-get install valgrind)", file=sys.stderr)
         return 2
@@ -78,7 +79,7 @@ def main(arguments: Arguments) -> int:
 
 
 def build(folder: Path) -> tuple[str, Path]:
-    """Build the workloads. Return the compiler's name and version, and the path of the program."""
+    """Build the program ``workload``. Return the compiler's name and version, and the path of the program."""
     configure = ["cmake", "-S", str(ROOT / "csrc" / "tests"), "-B", str(folder), "-DCMAKE_BUILD_TYPE=Release"]
     run_quietly(configure)
     run_quietly(["cmake", "--build", str(folder), "--target", "workload", "--parallel"])
@@ -89,7 +90,8 @@ def build(folder: Path) -> tuple[str, Path]:
 
 
 def count(program: Path, words: list[str]) -> int:
-    """Return the number of instructions in one repetition of a workload. Its setup is not counted."""
+    """Return the number of instructions in one repetition of a workload, the kernel call that the arguments ``words``
+    describe. The program's setup is not counted."""
     once, thrice = (count_process([str(program), *words, str(repeats), "1", "avx2"]) for repeats in (1, 3))
     return (thrice - once) // 2
 

@@ -47,7 +47,7 @@ class Arguments:
     """Number of frames to measure, spread evenly over the run's frames, or 0 for all frames."""
     orbit: int = 0
     """Number of images on a full orbit around the subject at the middle frame. The column `jump` is the largest
-    difference between neighbouring images, divided by the median difference. If this is 0, `jump` is not measured."""
+    difference between neighbouring images, divided by the median difference. With 0 images, `jump` is not measured."""
     pictures: Path | None = None
     """Folder for images that show, for the middle frame of each held-out view, the rendered image, the true image and
     the error."""
@@ -76,7 +76,7 @@ class ViewQuality:
 class RunQuality:
     """The values of a run, averaged over its views. They are the columns of the table in :func:`markdown`.
 
-    ``radii`` are quantiles over all measured frames, in multiples of the point spacing.
+    ``radii`` are quantiles of the points' radii over all measured frames, in multiples of the point spacing.
     """
 
     unseen: ViewQuality
@@ -109,7 +109,8 @@ def main(arguments: Arguments) -> int:
 
 
 def measure_run(trained: TrainedRun, arguments: Arguments) -> RunQuality:
-    """Measure the image quality of a run, on the number of frames that ``arguments.frames`` gives."""
+    """Measure the image quality of a run. Evenly spaced frames are measured; ``arguments.frames`` is their number, or 0
+    for all frames."""
     count = trained.run.capture.frame_count
     frames = sorted(set(np.linspace(0, count - 1, arguments.frames or count).round().astype(int).tolist()))
     console = Console(stderr=True)
@@ -156,8 +157,9 @@ def measure_view(trained: TrainedRun, frame: int, view: int) -> ViewQuality:
 def measure_flicker(trained: TrainedRun, view: int, frames: int = 8) -> float:
     """Return the flicker of a held-out view over at most ``frames`` successive frames from the middle of the run.
 
-    The flicker is the mean absolute error of the change from one image to the next, divided here by the mean absolute
-    change of the true images. For a single frame, the result is 0.
+    The change of a pixel is its difference between two successive images. The flicker is the mean absolute error of the
+    rendered images' changes, divided by the mean absolute change of the true images. For a single frame, the result is
+    0.
     """
     first = max(0, (trained.run.capture.frame_count - frames) // 2)
     shown = range(first, min(first + frames, trained.run.capture.frame_count))
@@ -170,8 +172,8 @@ def measure_flicker(trained: TrainedRun, view: int, frames: int = 8) -> float:
 
 
 def measure_jump(trained: TrainedRun, steps: int, console: Console) -> float:
-    """Return the largest difference between neighbouring images of a full orbit at the middle frame, divided by the
-    median difference."""
+    """Render ``steps`` images of a full orbit at the middle frame. Return the largest difference between neighbouring
+    images, divided by the median difference."""
     capture = trained.run.capture
     frame = capture.frame_count // 2
     points, layers = trained.frames.get(frame), trained.run.config.train.layers
@@ -181,7 +183,8 @@ def measure_jump(trained: TrainedRun, steps: int, console: Console) -> float:
 
 
 def radius_quantiles(trained: TrainedRun, frames: Sequence[int]) -> tuple[float, float, float]:
-    """Return the median, the 90% quantile and the 99% quantile of the radii, in multiples of the point spacing."""
+    """Return the median, the 90% quantile and the 99% quantile of the points' radii, in multiples of the point
+    spacing."""
     ratios = torch.cat([points.radius / points.spacing for points in map(trained.frames.get, frames)]).numpy()
     median, most, nearly_all = np.quantile(ratios, [0.5, 0.9, 0.99])
     return float(median), float(most), float(nearly_all)
@@ -197,8 +200,12 @@ def mean_of(views: Sequence[ViewQuality]) -> ViewQuality:
 
 
 def markdown(results: dict[str, RunQuality]) -> str:
-    """Return the table. The columns from "contour" to "missing" show which fractions of the squared error inside the
-    matte's bounding box fall on certain pixels, such as those near the contour, averaged over the held-out views."""
+    """Return the table.
+
+    Each column from "contour" to "missing" stands for one class of pixels inside the matte's bounding box, such as the
+    pixels near the contour. It shows which fraction of the box's squared error falls on this class, averaged over the
+    held-out views.
+    """
     heads = ["run", "unseen dB", "SSIM", "FLIP", "seen dB", "contour", "near", "inside", "outside", "excess", "missing"]
     heads += ["specks, per 10,000 pixels", "flicker / true change", "jump", "radii p50 / p90 / p99"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]

@@ -5,7 +5,8 @@
     python tools/viewer_table.py scene.4dv --frame 3
 
 If no scene is given, the program draws 262,144 points of the synthetic benchmark scene at 1920 x 1080; otherwise, it
-draws one frame of the scene from its first camera. The reference for the errors is the float CPU renderer.
+draws one frame of the scene from its first camera. The reference for the errors is the CPU renderer that computes in
+float32, with the function render_points_numpy.
 """
 
 from __future__ import annotations
@@ -140,7 +141,7 @@ def _turned(seen: Camera, angle: float) -> Camera:
 
 
 def _float_picture(frame: BakedFrame, manifest: SceneManifest, seen: Camera, layers: int) -> NDArray[np.float32]:
-    """Render the frame with the float CPU renderer."""
+    """Render the frame on the CPU in float32, as the reference for the errors."""
     colours = shade_reference(frame, seen, manifest)
     sizes: list[Any] = [frame.radius.astype(np.float32), frame.density.astype(np.float32)]
     rgb, _, _ = render_points_numpy(frame.xyz, colours, *sizes, seen, layers=layers, near=manifest.near)

@@ -127,8 +127,8 @@ class App:
         with state.timings.measure("present"):
             window.swap_buffers()
         if is_drawn:
-            # The cpu renderer runs the stylizer during "draw". OpenGL renderers run it on the GPU, and its time is part
-            # of "present", which waits for the GPU.
+            # The stylizer's time is moved to the part "style". The cpu renderer runs the stylizer during "draw". OpenGL
+            # renderers run it on the GPU, and its time is part of "present", which waits for the GPU.
             source = "draw" if state.renderer.choice.name == "cpu" else "present"
             state.timings.move(source, "style", state.renderer.renderer.style_seconds)
         state.timings.finish_image()

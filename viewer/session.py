@@ -137,7 +137,7 @@ class Session:
             self._announce_estimates()
 
     def choose_shade_map(self, path: Path) -> None:
-        """Use a PNG as the shade map of the current style.
+        """Use a PNG as the shade map (the colours from unlit to lit) of the current style.
 
         If the style has no shade map, or if the PNG does not have the shape that the style needs, the current style
         stays and ``message`` contains the reason.

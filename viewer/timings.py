@@ -1,4 +1,4 @@
-"""Measures how much time each part of an image takes, for the plot in the panel."""
+"""Measures the time of each part of the work for an image, for the plot in the panel. The parts are listed in PARTS."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ HISTORY = 120
 
 
 class Timings:
-    """The time in milliseconds that each part of an image has taken, for the last HISTORY images."""
+    """The time in milliseconds of each part of the work for an image, for the last HISTORY images."""
 
     def __init__(self) -> None:
         self._history = np.zeros((HISTORY, len(PARTS)))
@@ -31,8 +31,8 @@ class Timings:
             self._current[part] += 1e3 * (time.perf_counter() - started)
 
     def move(self, source: str, target: str, seconds: float) -> None:
-        """Move up to ``seconds`` from the time of part ``source`` of the current image to part ``target``. The time of
-        ``source`` does not become negative."""
+        """Count up to ``seconds`` of the current image as time of the part ``target`` instead of the part ``source``.
+        The time of ``source`` does not become negative."""
         moved = min(1e3 * seconds, self._current[source])
         self._current[source] -= moved
         self._current[target] += moved

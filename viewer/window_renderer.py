@@ -66,7 +66,7 @@ class WindowRenderer:
         self._drawn = None
 
     def needs_draw(self, request: RenderRequest) -> bool:
-        """Return True if ``request`` must be drawn, because the canvas does not show its exact image."""
+        """Return True unless the canvas already shows ``request``, drawn in its own depth order."""
         return self.is_stale or not self._is_last(request)
 
     def draw(self, request: RenderRequest) -> None:
@@ -82,7 +82,8 @@ class WindowRenderer:
         self._drawn = request
 
     def draw_exact(self) -> NDArray[np.uint8] | None:
-        """Return the exact image of the last request, (H, W, 3) uint8, or None before the first request."""
+        """Draw the last request in its own depth order, not in that of an earlier request. Return the image, (H, W, 3)
+        uint8, or None before the first request."""
         if self._drawn is None:
             return None
         self.renderer.draw(self._drawn, self._canvas, wait=True)

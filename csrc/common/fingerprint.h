@@ -33,7 +33,8 @@ class Fingerprint {
     void mix(const std::uint64_t* words) {
         for (int lane = 0; lane < kLanes; ++lane) {
             std::uint64_t& state = state_[lane];
-            state = (state ^ words[lane]) * 0x9e3779b97f4a7c15ull;  // The odd factor keeps different states different.
+            // Multiplication by an odd number is invertible, so different states stay different.
+            state = (state ^ words[lane]) * 0x9e3779b97f4a7c15ull;
             state ^= state >> 29;
         }
     }

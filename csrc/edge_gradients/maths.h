@@ -2,8 +2,9 @@
 // crosses the segment between the centres of two neighbouring pixels, and the derivatives of this point with respect to
 // the vertices.
 //
-// N_i is the linear function (antialias/maths.h) that is 0 on the edge opposite to vertex i of a triangle. V, the sum
-// of all N_i w_i, is the same at all pixels. At a pixel, z/w of a triangle is the sum of b_i z_i, where
+// Vertex i of a triangle has the clip coordinates (x_i, y_i, z_i, w_i), and N_i is the linear function
+// (antialias/maths.h) that is 0 on the edge opposite to this vertex. V, the sum of N_i w_i over the three vertices, is
+// the same at all pixels. At a pixel, z/w of the triangle is the sum of b_i z_i over the three vertices, where
 //     b_i = N_i / V.
 // Let f_a and f_b be the coordinates of a pixel centre f along and across the direction from one pixel of the pair to
 // the other. N_i is linear in f, so z/w is also a linear function of f, with constant coefficients p_a, p_b and p_w:

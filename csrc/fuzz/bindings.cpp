@@ -29,8 +29,8 @@ constexpr int kThreads = 3;  // Number of threads that call the same functions a
 #else
 constexpr int kThreads = 1;
 #endif
-// At its start, the program checks all rules for the sizes of arguments (rules.h). For each rule, it makes random
-// calls until the function accepts one, but at most this number.
+// At its start, the program checks all rules for the sizes of arguments (rules.h). For each rule, it calls the function
+// of the rule with random arguments until the function accepts them. kTries is the maximum number of these calls.
 constexpr unsigned kTries = 20000;
 
 struct Function {

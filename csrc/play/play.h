@@ -23,8 +23,8 @@ struct Sizes {
     void convert(const Frame& frame, std::size_t begin, std::size_t end);
 };
 
-// Remembers which tiles of the last drawn surface have no points. A tile that had no points in the last image, and
-// still has none, is not drawn again.
+// Remembers which tiles have no points in the image that was last drawn to a points::Surface (colours, depths and
+// normals of the visible surface). A tile that had no points in the last image, and still has none, is not drawn again.
 class EmptyTiles {
   public:
     // Call this function before the tiles of a surface are drawn.
@@ -50,7 +50,8 @@ class Player {
     void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
               const points::Canvas& canvas, float filter_side);
 
-    // Draws the same colours as draw(), and the visible surface. frame.normals must not be null.
+    // Draws the same colours as draw(), and the depths and normals of the visible surface. frame.normals must not be
+    // null.
     void draw_surface(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
                       const points::Surface& surface);
 

@@ -22,7 +22,9 @@ struct Settings {
     Pinhole camera;
     float near_depth;         // Positive. Points with a camera depth below near_depth are culled.
     int layers;               // Maximum number K of points that a pixel composites, at least 1.
-    float transmittance_min;  // Compositing of a pixel ends at or below this transmittance; 0 gives exact images.
+    // Compositing of a pixel ends when its transmittance is at or below this value. With the value 0, this early end
+    // does not change the image.
+    float transmittance_min;
     int threads;              // At least 1. The result is the same for any number of threads.
     Simd simd;                // An instruction set that this machine supports.
 };
@@ -50,9 +52,9 @@ struct Surface {
     // Shape (height, width, 4): unit normal n as bytes 127 * n + 128, then 255 * coverage. At pixels without points, n
     // is the zero vector and the coverage is 0, so the bytes are 128, 128, 128 and 0.
     std::uint8_t* normal;
-    // In [0, 1): the weight of the inverse depth and normal of the previous image, at pixels where the previous image
-    // and the new image show the same surface. If `persistence` is above 0, all arrays must contain the previous image
-    // of the same camera before the call.
+    // In [0, 1): where the previous image and the new image show the same surface, their inverse depths and normals are
+    // averaged. The previous image has the weight `persistence`, and the new image has the weight 1 - persistence. If
+    // `persistence` is above 0, all arrays must contain the previous image of the same camera before the call.
     float persistence;
 };
 

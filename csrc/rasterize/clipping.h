@@ -80,8 +80,8 @@ FOURD_HD static inline void set_reference(const Screen& screen, bool is_clipped,
 }
 
 // Calls take(piece, bounds) for each piece (part of a clipped triangle, or whole triangle) that may cover pixels. The
-// arguments a, b and c are the snapped vertices, and p0, p1 and p2 are their clip coordinates. Triangles with an
-// invalid vertex have no pieces.
+// arguments a, b and c are the vertices, rounded to 1/256 pixel (Snapped in maths.h), and p0, p1 and p2 are their clip
+// coordinates. Triangles with an invalid vertex have no pieces.
 template <typename Take>
 FOURD_HD static inline void for_pieces(const Screen& screen, const Snapped& a, const Snapped& b, const Snapped& c,
                                        const float* p0, const float* p1, const float* p2, int triangle,

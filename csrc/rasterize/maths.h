@@ -119,7 +119,8 @@ FOURD_HD static inline Bounds bounds_of(const Screen& screen, const Piece& piece
             smaller(last_pixel(high_y), screen.height - 1)};
 }
 
-// Makes a piece with positive area. Returns false if the area is 0.
+// Makes a piece from three corners. Two corners are swapped if the area would otherwise be negative. Returns false if
+// the area is 0.
 FOURD_HD static inline bool make_piece(const Snapped& a, const Snapped& b, const Snapped& c, int triangle,
                                        Piece* piece) {
     const std::int64_t area = std::int64_t{b.x - a.x} * (c.y - a.y) - std::int64_t{b.y - a.y} * (c.x - a.x);
@@ -166,8 +167,9 @@ FOURD_HD static inline double device_coordinate(int pixel, int side) {
 //     scale * u / w, scale * v / w, scale / w and z / w.
 // Here u and v are the barycentric weights of vertices 0 and 1, and z and w are interpolated clip coordinates. `scale`
 // is the largest |w| of the vertices, so scaling all clip coordinates by a common factor does not change the functions.
-// The value of a function at a pixel is (c + y * dy) + x * dx, where (dx, dy) is the vector from the reference pixel to
-// the pixel.
+// The value of a function at a pixel is (c + y * dy) + x * dx. Here c is the value at the reference pixel, which each
+// triangle has (set_reference in clipping.h), x and y are the slopes, and (dx, dy) is the vector from the reference
+// pixel to the pixel.
 struct Planes {
     double scale;
     float c[kPlanes], x[kPlanes], y[kPlanes];

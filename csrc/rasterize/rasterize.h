@@ -15,7 +15,8 @@ constexpr int kLongestSide = 1 << 15;  // Largest image side in pixels.
 struct Query {
     const float* pos;            // Shape (images or 1, vertices, 4): clip coordinates x, y, z, w.
     std::size_t vertices;        // Number of vertices of an image.
-    // Number of vertices between the positions of successive images, or 0 if all images share the positions.
+    // The positions of image i start at vertex i * image_stride of `pos`. If all images share the positions,
+    // image_stride is 0.
     std::size_t image_stride;
     const std::int32_t* tri;     // Shape (triangles, 3): vertex indices of each triangle.
     std::size_t triangles;       // At most kMaxTriangles (common/triangle_id.h).
@@ -30,11 +31,11 @@ struct Query {
     FOURD_HD const float* pos_of(std::size_t image) const { return pos + 4 * image * image_stride; }
 };
 
-// Writes u, v, z/w and the encoded id of the nearest triangle to `rast` (images, height, width, 4). Writes the
-// derivatives du/dX, du/dY, dv/dX and dv/dY to `rast_db` (images, height, width, 4), which may be null. X and Y are the
-// pixel coordinates along a row and a column. If `previous` is not null, it must be the `rast` of a previous call, and
-// each pixel gets the next triangle behind the one that it has in `previous`. Triangles with equal z/w are ordered by
-// id.
+// Writes u, v, z/w and the encoded id (common/triangle_id.h) of the nearest triangle to `rast` (images, height, width,
+// 4). u and v are the barycentric weights of the triangle's vertices 0 and 1. Writes the derivatives du/dX, du/dY,
+// dv/dX and dv/dY to `rast_db` (images, height, width, 4), which may be null. X and Y are the pixel coordinates along a
+// row and a column. If `previous` is not null, it must be the `rast` of a previous call, and each pixel gets the next
+// triangle behind the one that it has in `previous`. Triangles with equal z/w are ordered by id.
 void rasterize(const Query& query, const float* previous, float* rast, float* rast_db);
 
 // Overwrites grad_pos with the gradient of the loss with respect to pos. grad_rast and grad_db (images, height, width,

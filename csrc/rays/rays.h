@@ -2,7 +2,8 @@
 //
 // The tree is a bounding volume hierarchy (BVH). Its nodes have up to eight children, and its leaves, called blocks,
 // have up to eight triangles. The index of a child node is larger than the index of its parent. A traversal skips only
-// triangles that the ray does not hit, so it finds the same hits as the test in maths.h on all triangles.
+// triangles that the ray does not hit, so it finds the same hits as a loop that tests every triangle with intersect()
+// in maths.h.
 #pragma once
 
 #include <cstddef>

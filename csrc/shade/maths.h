@@ -8,8 +8,8 @@
 
 namespace fourd::shade {
 
-// Approximates tanh with an error of at most 4e-7 by the rational function of Eigen, with the same coefficients. For
-// large |x|, the result is -1 or 1.
+// Approximates tanh by the rational function that Eigen uses, with the same coefficients. The error is at most 4e-7.
+// For large |x|, the result is -1 or 1.
 FOURD_HD FOURD_INLINE float fast_tanh(float x) {
     constexpr float kLimit = 7.90531110763549805f;
     x = x < -kLimit ? -kLimit : x;

@@ -13,7 +13,7 @@ constexpr int kWindow = 11;
 
 struct Pictures {
     const float* picture;  // Shape (height, width, channels).
-    const float* truth;    // Shape (height, width, channels).
+    const float* truth;    // Shape (height, width, channels): the reference picture.
     int width, height;     // At least kWindow.
     int channels;          // At least 1.
     int threads;           // At least 1. The result is the same for any number of threads.

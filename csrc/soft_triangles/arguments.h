@@ -17,7 +17,7 @@
 namespace fourd {
 
 // `softness` has 7 numbers. The first is 1 for barycentric distances, and 0 for Euclidean distances. The others are
-// sigma, gamma, cutoff, near, far and eps.
+// the arguments sigma, gamma, cutoff, near, far and eps of rasterize_soft (fourd/raster/triangles/soft.py).
 inline soft_triangles::Settings soft_settings(const std::vector<double>& camera, std::size_t width, std::size_t height,
                                               const std::vector<double>& softness, int layers, int threads,
                                               const std::string& simd) {

@@ -9,6 +9,9 @@
 
 namespace fourd::stylize {
 
+// The shade table has the colours of a style, as in X-Toon (Barla et al. 2006). The tone, which is the cosine between
+// the normal and the direction to the light, mapped to [0, 1], selects the column. The detail (enum Detail) selects the
+// row.
 constexpr int kTones = 256;       // Number of columns of the shade table.
 constexpr int kMaxRows = 64;      // Maximum number of rows of the shade table.
 constexpr int kMaxThickness = 8;  // Maximum distance, in pixels, between adjacent taps (samples) of a line filter.
@@ -25,13 +28,15 @@ constexpr int speck_reach(int thickness) {
 // number.
 constexpr std::uint32_t kLeastStrength = 32;
 
-// The quantity that selects the row of the shade table.
+// The quantity that selects the row of the shade table: the cosine between the normal and the direction to the camera,
+// the depth, or the distance from the depth in focus.
 enum class Detail { facing = 0, depth = 1, focus = 2 };
 enum class Lines { none = 0, sobel = 1, cross = 2 };
 
 // The numbers of a style, in the order of StyleParameters.numbers in fourd/ops/stylize/parameters.py.
 struct Numbers {
-    // The ray of pixel (x, y): (ray[0] * x + ray[1] * y + ray[2], ray[3] * x + ray[4] * y + ray[5], 1), in camera axes.
+    // The ray through the pixel centre (x, y) = (column + 0.5, row + 0.5), in camera axes, is
+    // (ray[0] * x + ray[1] * y + ray[2], ray[3] * x + ray[4] * y + ray[5], 1).
     float ray[6];
     float light[3];  // Unit vector towards the light, in camera axes.
     // Factors of the formula colour = table * (table_alone + table_times_albedo * albedo) + albedo_alone * albedo.

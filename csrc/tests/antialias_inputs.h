@@ -1,4 +1,4 @@
-// Random meshes and rasterizations for antialiasing and for gradients of edges, with indices that are out of range.
+// Random meshes and rasterizations for antialiasing and for gradients of edges. Some indices are out of range.
 #pragma once
 
 #include <cstdint>

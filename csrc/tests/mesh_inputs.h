@@ -1,4 +1,4 @@
-// Random meshes for the rasterizer, the interpolation and ray tracing, with invalid vertices and indices.
+// Random meshes for the rasterizer, the interpolation and ray tracing. Some vertices and indices are invalid.
 #pragma once
 
 #include <algorithm>

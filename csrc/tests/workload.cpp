@@ -32,8 +32,8 @@ struct Size {
     fourd::Simd simd;
 };
 
-// The figure from fourd/benchmarks/workloads.py: evenly spaced points on a closed surface, which covers 40% of the
-// image.
+// Random points on an ellipsoid that covers 40% of the image, as make_points in fourd/benchmarks/workloads.py makes
+// them.
 struct Figure {
     Floats xyz, features, radius, density;
 

@@ -23,7 +23,7 @@ struct Pinhole {
 constexpr int kTile = 16;              // Side of a tile in pixels.
 constexpr int kBlock = 4;              // Side of a block in pixels. A tile has 4 x 4 blocks.
 constexpr int kLongestSide = 1 << 18;  // Largest image side in pixels, so that block indices fit into 16 bits.
-constexpr int kBlocks = 16;            // Blocks per tile, row by row. The pixels of a block form one Lanes (lanes.h).
+constexpr int kBlocks = 16;            // Blocks per tile, row by row. A block has one pixel per lane (lanes.h).
 
 // The range of tiles that a primitive covers. All bounds are inclusive. The range is empty if right < left.
 struct TileRange {

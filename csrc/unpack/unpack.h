@@ -23,8 +23,9 @@ struct Harmonics {
 };
 
 // One source view. Each point has a weight code, which is the index of its blend weight in Views::weights. The member
-// `colours` is the number of points that also have colour levels, which are differences from the point's mean colour,
-// in quantization steps. The levels are three planes, each with `colours` bytes: green, red - green and blue - green.
+// `colours` is the number of points that also have colour levels. A colour level is the difference between the point's
+// colour in this view and its mean colour, in quantization steps. `levels` has three planes, each with `colours` bytes:
+// the levels of green, red - green and blue - green.
 struct View {
     const std::uint8_t* codes;
     const std::uint8_t* levels;
@@ -40,13 +41,14 @@ struct Views {
     bool every_point_has_colours;  // If false, only the points whose weight code is not 0 have colours.
 };
 
-// Positions are stored as the differences of successive Morton codes. Plane k has byte k of every difference, and byte
-// 0 is the lowest byte.
+// Positions are rounded to a grid of cubic cells. The Morton code of a point interleaves the bits of its three cell
+// indices, and the position is lower + step * (cell indices). The differences of successive Morton codes are stored:
+// plane k has byte k of every difference, and byte 0 is the lowest byte.
 struct Positions {
     const std::uint8_t* planes;  // Shape (code_bytes, points).
     int code_bytes;              // Number of bytes per difference, from 1 to 8.
     std::size_t points;
-    const double* lower;  // Shape (3): position of cell 0.
+    const double* lower;  // Shape (3): position of a point with the cell indices 0, 0, 0.
     double step;          // Side length of a cell.
 };
 

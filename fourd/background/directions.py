@@ -55,13 +55,14 @@ class DirectionGrid:
         return row * self.columns + column, distance
 
     def directions(self) -> Array:
-        """Return unit vectors (rows * columns, 3) in world coordinates, one per cell. They point to the cells' centres,
-        but are shifted by half a cell in odd rows."""
+        """Return unit vectors (rows * columns, 3) in world coordinates, one per cell. In even rows, a vector points to
+        the centre of its cell. In odd rows, it points half a cell beside the centre, to the border of the next
+        column."""
         return self.directions_at(*self.places(np.arange(self.rows * self.columns)))
 
     def places(self, cells: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Return rows (N,) and columns (N,) of the cells with the flat indices ``cells`` (N,). In odd rows, the columns
-        are shifted by half a cell."""
+        """Return the rows (N,) and columns (N,), as floats, of the cells with the flat indices ``cells`` (N,). In odd
+        rows, 0.5 is added to the column, so that the directions of successive rows are not aligned."""
         row, column = (index.astype(np.float64) for index in np.divmod(cells, self.columns))
         return row, column + np.where(row % 2 == 1, 0.5 * (1 - 1e-9), 0.0)
 

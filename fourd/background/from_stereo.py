@@ -1,4 +1,4 @@
-"""Compute background points from clean plates by stereo.
+"""Compute background points from clean plates (images of the empty scene) by stereo.
 
 The plates' depth maps are initialised from triangulated sparse features and refined. Depths that disagree between
 plates are removed. Points are then sampled on the surfaces that the remaining depths describe.
@@ -17,8 +17,8 @@ from fourd.formats.ply import ColouredPoints
 from fourd.progress import Log, Track, untracked
 
 MIN_SHARE = 0.1
-"""Minimum fraction of depth-map cells with a measured depth, among all cells outside the plates' holes. If the fraction
-is smaller, an error is raised."""
+"""Minimum fraction of depth-map cells with a measured depth, among all cells outside the plates' holes (areas that do
+not show the background). If the fraction is smaller, an error is raised."""
 
 
 def seed_from_stereo(

@@ -1,5 +1,6 @@
 """Estimate a profile: colours that depend only on the height above the floor, such as those of a wall's rows of bricks,
-boards or shelves. A profile can be extrapolated into directions that no camera sees."""
+boards or shelves. A profile can be extrapolated into directions that no camera sees. The cells in this module are those
+of a grid of directions around the scene's centre."""
 
 from __future__ import annotations
 
@@ -39,8 +40,8 @@ def height_profile(grid: DirectionGrid, known: Bools, inverse_distance: Array, r
         rgb: (cells, 3) colours in [0, 255]. The colours of unknown cells are ignored.
 
     Returns:
-        (cells, 3) colour difference at the height of each cell, known or unknown. The caller subtracts it from the
-        known colours, extrapolates the remaining colours, and adds it to the result.
+        (cells, 3) colour difference at the height of each cell, known or unknown. The caller subtracts this difference
+        from the known colours, extrapolates the result to the unknown cells, and then adds the difference to all cells.
     """
     if known.all() or not known.any():
         return np.zeros_like(rgb)

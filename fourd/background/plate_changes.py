@@ -1,5 +1,5 @@
-"""Detect backgrounds that are not static. In the background, which is the area outside the mattes, frames are compared
-with clean plates."""
+"""Detect backgrounds that are not static: compare frames with clean plates (images of the empty scene) outside the
+mattes."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ MAX_DIFFERENCE = 24.0
 after blurring and exposure compensation."""
 BLUR_PX = 2.0
 MARGIN = 1 / 50
-"""Width of a band around the matte in which pixels are not compared, because it contains soft edges and shadows. The
-width is a fraction of the image's longer side."""
+"""Width of a band around the matte. Pixels in the band are not compared, because the band contains soft edges and
+shadows. The width is a fraction of the image's longer side."""
 MAX_CHANGED_SHARE = 0.02
-"""Maximum fraction of the visible background that differs from the plate if the background is static. Noise causes such
-differences."""
+"""Maximum fraction of the visible background that may differ from the plate. Up to this fraction, the differences are
+attributed to noise, and the background counts as static."""
 
 
 def find_changing_backgrounds(

@@ -23,8 +23,8 @@ from fourd.progress import Log
 Picture = NDArray[np.uint8]
 
 USER_FOLDER = "bgs"
-"""Subfolder of a capture's folder for the plates that the user provides, as CAM.png or CAM.jpg. They have the same lens
-distortion as the frames."""
+"""Subfolder of a capture's folder in which the user provides plates. The plate of the camera CAM is CAM.png or CAM.jpg,
+and has the same lens distortion as the frames."""
 MIN_SEEN_SHARE = 0.5
 MIN_CAMERAS = 2
 
@@ -128,7 +128,8 @@ def _files(capture: Capture, names: Sequence[str], folder: Path) -> dict[str, _F
 
 
 def _lenses(capture: Capture, names: list[str]) -> dict[str, Camera]:
-    """Return the cameras ``names`` by name, with their lens distortion and the full size of the frames."""
+    """Return a dictionary from each of the ``names`` to its camera, which has lens distortion and the full size of the
+    frames."""
     calibrations = read_calibration(capture.path)
     with open_capture(capture.path, views=names, frames="0:1", mattes=False) as whole:
         return {
@@ -166,8 +167,8 @@ def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera]
             f"got {width} x {height}; {fix}"
         )
     if file.made:
-        # In plates that fourd made, pixels outside the lens's field of view are black and opaque. They are found by
-        # undistorting a fully opaque matte, which becomes transparent there.
+        # In plates that fourd made, pixels outside the lens's field of view are black and opaque. Undistorting a fully
+        # opaque matte of the same camera shows where these pixels are: the result is transparent there.
         seen = np.minimum(opaque, _undistort(capture, name, lens, file.path, rgb, np.full_like(opaque, 255))[1])
     else:
         rgb, seen = _undistort(capture, name, lens, file.path, rgb, opaque)
@@ -183,7 +184,8 @@ def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera]
 def _undistort(
     capture: Capture, name: str, lens: Camera, path: Path, rgb: Picture, matte: Picture
 ) -> tuple[Picture, Picture]:
-    """Undistort a plate and its opacity mask ``matte``, with the same code as the capture's frames and mattes."""
+    """Undistort a plate and its opacity mask ``matte``, with the code that also undistorts the capture's frames and
+    mattes."""
     footage = Footage(_Still(path, rgb), Mattes(_Still(path, matte), is_generated=False), (lens.width, lens.height))
     alone = Capture(capture.path, [name], [lens], [footage], ["plate"], [0], 1, scale=1.0, cache_mb=0)
     return alone.image(0, 0), alone.mask(0, 0)

@@ -41,12 +41,13 @@ NEAR_GAP_DEG = 15.0
 """Unknown cells at most this many degrees from the nearest known cell have the full density of shell points. Of the
 cells farther away, only one in sixteen gets a point."""
 MIN_DETAIL = 8.0
-"""A shell point near known cells is split into four points if the extrapolated colours of the upper and the lower half
-of its cell, or of an adjacent cell, differ by at least this many grey levels. Adjacent cells are included because
-points are drawn as discs: the large disc of an adjacent point that is not split would cover the four small discs."""
+"""A shell point near known cells is split into four points if its cell or an adjacent cell contains detail. A cell
+contains detail if the extrapolated colours of its upper and its lower half differ by at least this many grey levels.
+Adjacent cells are included, because points are drawn as discs: the large disc of an adjacent point that is not split
+would cover the four small discs."""
 OCCLUSION_RATIO = 0.9
-"""A shell point occludes a known point that projects to about the same position if its depth is less than this multiple
-of the known point's depth."""
+"""A shell point occludes a known point if both project to about the same position, and the shell point's depth is less
+than this multiple of the known point's depth."""
 DEPTH_CELL_PX = 6.0
 
 
@@ -180,8 +181,8 @@ def _select_cells(sphere: DirectionGrid, known: Bools) -> tuple[NDArray[np.intp]
 
 def _close_gaps(sphere: DirectionGrid, known: Bools) -> tuple[Bools, Array]:
     """Close small gaps between known cells. Returns a mask (rows, columns) of the known cells and the closed gaps, and
-    the angle in degrees (rows, columns) from each cell to the nearest known cell. Closed gaps do not count for the
-    angle."""
+    the angle in degrees (rows, columns) from each cell to the nearest known cell. For the angle, closed gaps count as
+    unknown."""
     known = _dilate_rows(sphere, known)
     # Three copies of the grid side by side make the distance transform periodic in azimuth.
     tiled = np.pad(np.tile(known, (1, 3)), ((sphere.rows, sphere.rows), (0, 0)))
@@ -220,8 +221,8 @@ def _occludes(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> Bools:
 
 
 def _depth_cells(xyz: Array, camera: Camera, columns: int) -> tuple[NDArray[np.intp], Array]:
-    """Compute the index (N,) of each point's cell in a coarse depth map, or -1 outside the image, and its depth
-    (N,)."""
+    """Compute the index (N,) of each point's cell in a coarse depth map with ``columns`` columns, or -1 outside the
+    image, and the point's depth (N,)."""
     pixels, depth = camera.project(xyz)
     inside = (depth > 1e-6) & (pixels >= 0).all(axis=1) & (pixels < (camera.width, camera.height)).all(axis=1)
     place = np.where(inside[:, None], pixels / DEPTH_CELL_PX, 0).astype(np.intp)

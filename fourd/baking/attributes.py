@@ -29,7 +29,8 @@ class Attribute:
     """One array of a frame, as stored in the file.
 
     Attributes:
-        name: name of the array's field in BakedFrame, of its file inside the ZIP and of its key in the manifest.
+        name: name of the array. Its field in BakedFrame, its file inside the ZIP and its key in the manifest have this
+            name.
         dtype: little-endian NumPy dtype.
         shape: size of each dimension of the array. "points" stands for the number of points and "views" for the number
             of source views.
@@ -115,6 +116,6 @@ def _valid_halves(bits: NDArray[np.uint16], values: Values) -> bool:
         bits = bits & np.uint16(0x7FFF)
     if int(bits.max()) <= limit:
         return True
-    # Infinity and NaN exceed ``limit``, because their bit patterns are 0x7C00 or more, and so do negative values, whose
-    # bit patterns are 0x8000 or more. The value -0, with the bit pattern 0x8000, is valid.
+    # A bit pattern above ``limit`` is a value that is too large, infinity or NaN (0x7C00 or more), or a negative value
+    # (0x8000 or more). The only valid one is the value -0, with the bit pattern 0x8000.
     return int(np.where(bits == 0x8000, np.uint16(0), bits).max()) <= limit

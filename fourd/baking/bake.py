@@ -42,8 +42,8 @@ from fourd.training.run import Run, TrainedRun
 from fourd.training.segments.segmented_run import SegmentedRun, SegmentFrame
 
 GetSourceView = Callable[[int, EvaluatedPoints], SourceViews]
-"""Function that returns a camera's source view (image and camera) for the given points. If occlusion is tested, the
-view has a depth map."""
+"""Function that returns the source view (image and camera) of the camera with the given index. If occlusion is tested,
+the view also has a depth map of the given points."""
 
 MAX_BAKED_WEIGHT = 1024.0
 """The blend weights of each point are scaled such that the largest one has this value, because small weights would
@@ -63,7 +63,7 @@ def bake_run(
     two segments (ranges of frames with separate models), the scene fades from the first segment to the second.
 
     Args:
-        layers: maximum number of points that are composited per pixel, which is stored in the scene.
+        layers: maximum number of points that are composited per pixel. The number is stored in the scene.
         fps: playback rate, frames per second. If None, the rate at which the run's frames were recorded is used, or 30
             if this rate is not known.
 

@@ -37,7 +37,8 @@ class ColourFit:
 
     Args:
         manifest: the manifest of the scene.
-        link: converts a colour to the value that ``sum(coefficient * Y(direction))`` approximates.
+        link: converts a colour to the value that ``sum(coefficient * Y(direction))`` approximates, where Y are the
+            spherical harmonics.
         degree: largest degree of the harmonics, 0 to 3.
     """
 
@@ -125,7 +126,7 @@ def between(cameras: Sequence[Camera], focus: NDArray[np.float64]) -> list[Camer
 
 
 def _all_sides(manifest: SceneManifest) -> tuple[Camera, ...]:
-    """Return cameras on a sphere around the bounds. Their centres form a spherical Fibonacci lattice."""
+    """Return cameras on a sphere around the scene's bounding box. Their centres form a spherical Fibonacci lattice."""
     lower, upper = (np.asarray(corner) for corner in manifest.bounds)
     centre, radius = (lower + upper) / 2, max(float(np.linalg.norm(upper - lower)), 1e-3)
     size, intrinsics = 256, np.array([[256.0, 0, 128], [0, 256.0, 128], [0, 0, 1]])

@@ -35,7 +35,7 @@ class Playable(Protocol):
 
     @property
     def frame_numbers(self) -> tuple[int, ...]:
-        """The number of each frame in the capture."""
+        """For each frame, its number in the capture."""
 
     @property
     def fps(self) -> float:

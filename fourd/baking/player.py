@@ -36,8 +36,9 @@ class Player:
         the background, and alpha.
 
         The image differs in two ways from the image that :meth:`fourd.baking.rendering.Scene.render` returns. First,
-        values are rounded to bytes, before and after the scene's pixel filter. Second, compositing of a pixel ends when
-        its transmittance falls below :data:`fourd.ops.play.op.MIN_TRANSMITTANCE`.
+        values are rounded to bytes, before and after the scene's pixel filter (see
+        :class:`fourd.baking.scene.SceneManifest`). Second, compositing of a pixel ends when its transmittance falls
+        below :data:`fourd.ops.play.op.MIN_TRANSMITTANCE`.
 
         Args:
             frame: a frame whose values are all finite; :class:`fourd.baking.container.SceneReader` checks this.

@@ -25,7 +25,7 @@ CACHE_BYTES = 256 << 20
 class RenderedImage:
     """An image: rgb (H, W, 3) in [0, 1], alpha (H, W) and camera depth (H, W) in world units, all float32.
 
-    The scene's pixel filter is applied to ``rgb`` and ``alpha``, but not to ``depth``.
+    The scene's pixel filter, which smooths jagged contours, is applied to ``rgb`` and ``alpha``, but not to ``depth``.
     """
 
     rgb: NDArray[np.float32]

@@ -42,8 +42,8 @@ class BakedFrame:
         rgb: (N, V, 3) uint8, the point's colour in every source view.
         normals: (N, 2) uint8, octahedral unit normals (:func:`fourd.stylize.normals.encode_octahedral`) in world axes.
             None if the scene has no normals.
-        background: the M background points, which are also the last M points of this frame, as one object that all
-            frames share. None if the frame has no background points.
+        background: the M background points, as one object that all frames share. They are also the last M points of
+            this frame. None if the frame has no background points.
         has_shadow: whether the ``rgb`` of the last M points has been multiplied by a shadow.
 
     Raises:

@@ -25,7 +25,7 @@ def primary_rays(side: int) -> tuple[Tensor, Tensor]:
 
 def random_rays(count: int) -> tuple[Tensor, Tensor]:
     """Return incoherent rays, each from one random point to another in the cube [-1, 1]^3, which contains almost the
-    whole mesh."""
+    whole mesh of :func:`make_mesh`."""
     generator = torch.Generator().manual_seed(count)
     ends = 2 * torch.rand(2, count, 3, generator=generator) - 1
     return ends[0], ends[1] - ends[0]

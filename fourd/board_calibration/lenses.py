@@ -16,7 +16,8 @@ from fourd.importing.folders import match_names, read_file
 from fourd.importing.opencv_toml import camera_of_table
 
 MAX_ASPECT_DIFFERENCE = 0.01
-"""Maximum relative difference between the aspect ratios of a lens's images and of a video."""
+"""Maximum relative difference between the aspect ratio of the images for which a lens was calibrated and that of the
+camera's images."""
 
 
 def read_lenses(path: Path) -> dict[str, Camera]:
@@ -58,8 +59,8 @@ def match_lenses(
     None for cameras without a lens in ``lenses``.
 
     Raises:
-        UserError: if the file contains a camera without a video, or the aspect ratios of a lens and of its camera's
-            images differ.
+        UserError: if the file contains a camera without a video, or a lens was calibrated for images of another aspect
+            ratio than the camera's images.
     """
     pairs = match_names(list(lenses), names, path)
     for unknown in sorted(set(lenses) - set(pairs.values())):

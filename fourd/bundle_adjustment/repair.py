@@ -173,7 +173,8 @@ def _is_better(now: MatchScore, before: MatchScore) -> bool:
 def _adjust(
     given: Sequence[Camera], matches: Mapping[Pair, Matches], has_focal: bool, has_principal: bool
 ) -> tuple[Camera, ...]:
-    """Run bundle adjustment with the initial cameras ``given`` and the matches."""
+    """Run bundle adjustment with the initial cameras ``given`` and the matches. It changes the poses. If ``has_focal``
+    is true, it also changes the focal lengths, and if ``has_principal`` is true, the principal points."""
     straight = [replace(camera, distortion=None) for camera in given]
     focus = viewing_centre(straight)
     distance = np.array([float(np.linalg.norm(camera.centre - focus)) for camera in given])

@@ -99,7 +99,8 @@ def _append(matches: dict[Pair, Matches], more: Mapping[Pair, Matches]) -> None:
 
 
 def _ground_patches(cameras: Sequence[Camera]) -> list[PlanePatch]:
-    """Return squares on the ground below the cameras' focus; none if the world is not in metres with z up."""
+    """Return squares on the ground below the point that the cameras face; none if the world is not in metres with z
+    up."""
     distances = [float(np.linalg.norm(a.centre - b.centre)) for a, b in combinations(cameras, 2)]
     up = float(np.mean([-camera.rotation[1, 2] for camera in cameras]))
     focus = find_focus(list(cameras))

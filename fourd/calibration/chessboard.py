@@ -74,9 +74,10 @@ def board_pose(picture: Picture, camera: Camera, board: Board) -> Camera:
 
 
 def find_corners(grey: Picture, columns: int, rows: int) -> Array | None:
-    """Detect the inner corners (rows, columns, 2) in OpenCV's pixel coordinates, in the order of :func:`board_pose`.
+    """Detect the inner corners (rows, columns, 2) in OpenCV's pixel coordinates.
 
-    Returns None if the image does not show all inner corners.
+    The first corner is the origin described in :func:`board_pose`. The corners of a row follow each other along the
+    x axis, and the rows follow each other along the y axis. Returns None if the image does not show all inner corners.
     """
     flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     found, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=flags)
@@ -95,9 +96,10 @@ def find_corners(grey: Picture, columns: int, rows: int) -> Array | None:
 
 
 def _is_first_square_bright(grey: Picture, corners: Array) -> bool:
-    """Return whether the square at the first corner is brighter than the next square along x.
+    """Return whether the first square is brighter than the next square along x.
 
-    ``corners`` has shape (rows, columns, 2).
+    ``corners`` has shape (rows, columns, 2). The first square is the one between the first two rows and the first two
+    columns of corners.
     """
     values = [
         float(

@@ -163,8 +163,9 @@ def choose_size(
     residual r. The evidence is clear if either of these conditions holds:
     - there are at least two hypotheses, r is at most 3 pixels, and all other remaining hypotheses have residuals of at
       least 1.5 * r;
-    - only the chosen hypothesis remains, and an image has a black border of at least 2 pixels. If r is at most 3
-      pixels, no excluded hypothesis may have a residual below r / 1.5.
+    - only the chosen hypothesis remains, an image has a black border of at least 2 pixels, and the residuals do not
+      contradict the borders. They contradict the borders if r is at most 3 pixels and an excluded hypothesis has a
+      residual below r / 1.5.
 
     Args:
         matches: matches of each camera pair in pixels of the distorted images; the matches of all frames are

@@ -105,16 +105,16 @@ def verify_matches(matches: Matches, first: Camera, second: Camera, tolerance_px
 
 
 def inlier_mask(matches: Matches, width: int, height: int, tolerance_px: float = TOLERANCE_PX) -> NDArray[np.bool_]:
-    """Return the mask (M,) of the undistorted matches that fit a common two-view geometry; all False if none is
-    accepted.
+    """Return the mask (M,) of the undistorted matches that fit a common two-view geometry.
 
-    Up to 3 homographies are fitted first, then a fundamental matrix. Each model is fitted with MAGSAC (Barath et al.,
-    CVPR 2020). A model is accepted if random matches are unlikely to give as many inliers (a contrario test, Moisan and
-    Stival, IJCV 2004).
+    Up to 3 homographies, one per plane in the scene, are fitted first, then a fundamental matrix. Each model is fitted
+    with MAGSAC (Barath et al., CVPR 2020). A model is accepted if random matches are unlikely to give as many inliers
+    (a contrario test, Moisan and Stival, IJCV 2004). If no model is accepted, the mask is False everywhere.
 
-    Matches of points on one plane do not determine the fundamental matrix: a fundamental matrix can fit all of them and
-    any two further matches, even wrong ones. Therefore, if a homography was accepted, the test of the fundamental
-    matrix counts only the inliers outside the planes, and two of these do not count as evidence.
+    Matches of points on one plane do not determine the fundamental matrix: there is always a fundamental matrix that
+    fits all of them and any two further matches, even wrong ones. Therefore, if a homography was accepted, the test of
+    the fundamental matrix ignores the inliers of all accepted homographies, and does not count two of the other
+    inliers as evidence.
 
     Args:
         matches: M matches in pixels of the undistorted images.

@@ -83,9 +83,9 @@ def match_on_plane(
         search_radius: largest displacement between the two rectified images that is searched, in raster pixels.
 
     Returns:
-        The matches, in pixels of the distorted images. Each match starts from a corner in the first
-        rectified image. A corner is matched if its normalized cross-correlation with the second rectified image has one
-        distinct peak.
+        The matches, in pixels of the distorted images. Corner features are detected in the first rectified image. A
+        corner feature is matched if the normalized cross-correlation of the patch around it with the second rectified
+        image has one distinct peak.
     """
     (raster, valid), (other, other_valid) = (
         _rectify(picture, camera, patch) for picture, camera in zip((first, second), cameras, strict=True)

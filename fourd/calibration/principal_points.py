@@ -25,7 +25,7 @@ MAX_PAIR_PX = 30.0
 """Upper limit, in pixels, to which the residual of a camera pair is clamped. A larger residual means that the pair's
 matches are wrong, so it does not show which principal points are correct."""
 MIN_GAIN = 2.0
-"""Minimum decrease of the camera pairs' mean residual by mirrored principal points, as a multiple of the typical
+"""Mirroring principal points must reduce the mean residual of the camera pairs by at least this multiple of the typical
 residual. The typical residual is the median of the pairs' residuals with the chosen principal points."""
 MIN_LEAD = 0.5
 """Minimum difference between the mean residuals of the second best and the best combination of the cameras' principal

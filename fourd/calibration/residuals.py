@@ -31,7 +31,8 @@ MAX_GOOD_PX = 3.0
 MAX_GOOD_RATIO = 4.0
 MIN_PAIRS = 2
 MIN_BAD_SHARE = 0.75
-"""A camera is bad if at least this fraction of its pairs disagrees; see :func:`find_bad_cameras`."""
+"""A camera is bad only if it disagrees with the other camera in at least this fraction of its pairs; see
+:func:`find_bad_cameras`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +169,7 @@ def find_bad_cameras(pairs: Mapping[Pair, float], *, max_px: float = MAX_GOOD_PX
     A camera is bad if it meets all of these conditions:
     - the camera belongs to at least 2 pairs;
     - in at least 75% of its pairs, the camera disagrees with the other camera;
-    - at least 2 of the cameras with which it disagrees each agree with some other camera.
+    - it disagrees with at least 2 cameras that are probably correct, because each of them agrees with a third camera.
 
     If there are only two cameras or all pairs disagree, the residuals do not show which camera is wrong, so no camera
     is bad.
@@ -196,7 +197,8 @@ def _camera_residuals(
 ) -> tuple[float | None, ...]:
     """Fit the residuals r_i >= 0 of the cameras to the residuals r_ij of the pairs: r_ij^2 = r_i^2 + r_j^2.
 
-    Iteratively reweighted least squares minimise the absolute deviations of the squared residuals.
+    The fit minimises the sum of ``min(n, 100) * |r_i^2 + r_j^2 - r_ij^2|`` over the pairs, where n is the pair's number
+    of matches, by iteratively reweighted least squares.
     """
     if not pairs:
         return (None,) * cameras

@@ -67,8 +67,8 @@ def calibrate_from_pictures(
     """Estimate intrinsics and poses of static cameras from one or several frames.
 
     Features are matched between all pairs of cameras, and the cameras are registered incrementally (Schoenberger and
-    Frahm, Structure-from-Motion Revisited, CVPR 2016). Results for the same images and seed differ by about 1e-5 of
-    the scene's size, because COLMAP's threads sum floating-point numbers in a varying order.
+    Frahm, Structure-from-Motion Revisited, CVPR 2016). Repeated runs with the same images and seed differ by rounding
+    errors, which amount to about 1e-5 of the scene's size.
 
     Args:
         pictures: RGB images (H, W, 3) uint8 of each camera by name; image k of every camera shows the same frame. One
@@ -207,7 +207,7 @@ def _mapping_options(seed: int) -> Any:
     """Return COLMAP's mapping options for a few cameras with wide baselines."""
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = seed
-    # With one thread, the result is repeatable up to rounding.
+    # With one thread, repeated runs differ only by rounding errors.
     options.num_threads = options.mapper.num_threads = 1
     options.min_model_size = MIN_CAMERAS
     options.extract_colors = False

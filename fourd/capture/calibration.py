@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 INTRINSICS_NAME = "intri.yml"
 EXTRINSICS_NAME = "extri.yml"
 MAX_ROTATION_DIFFERENCE = 1e-3
-"""Maximum absolute difference between corresponding elements of the matrix Rot_c and the rotation matrix computed from
-the Rodrigues vector R_c."""
+"""Maximum absolute difference between corresponding elements of two rotation matrices of a camera c in extri.yml: the
+matrix stored as Rot_c, and the matrix computed from the Rodrigues vector stored as R_c."""
 
 
 @dataclass(frozen=True, eq=False)

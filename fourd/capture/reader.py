@@ -223,7 +223,7 @@ def open_capture(
         frames: frame range ``A:B[:S]`` of indices in the sorted list of frames, or None for all frames.
         scale: factor in (0, 4] by which images are resized.
         cache_mb: size of the cache of decoded images in MiB.
-        cache_frames: number of frames by which the cache is larger than ``cache_mb``; a frame has one image per camera.
+        cache_frames: number of frames, with one image per camera, that the cache can hold in addition to ``cache_mb``.
         mattes: whether to open mattes; if any camera has mattes, all selected cameras and frames must have them.
 
     Raises:

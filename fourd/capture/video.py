@@ -109,13 +109,13 @@ class VideoIndex:
 
 
 def open_container(path: Path) -> InputContainer:
-    """Open a video file.
+    """Open a video file. Raises av.FFmpegError or OSError if the file is not a video.
 
     Only the container formats of :data:`CONTAINERS` are read, and only from the file itself, because other formats,
     such as playlists, could make FFmpeg open more files or network addresses.
 
     Raises:
-        UserError: if the file is a named pipe, a socket or a device. av.FFmpegError, OSError: if it is not a video.
+        UserError: if the file is a named pipe, a socket or a device.
     """
     require_regular(path)
     limits = {"protocol_whitelist": "file", "format_whitelist": CONTAINERS}
@@ -148,7 +148,7 @@ def index_video(path: Path, parser: ParserProcess | None = None) -> VideoIndex:
 
 
 def probe_in_child(name: str) -> dict[str, Any]:
-    """Create a video's index like :func:`index_video`, but in this process. Returns the index as JSON values."""
+    """Create a video's index. :func:`index_video` calls this in its child process. Returns the index as JSON values."""
     return index_to_json(_probe(Path(name)))
 
 
@@ -287,8 +287,8 @@ class VideoReader:
             self._seek(keyframe)
         found = self._decode_until(number)
         if found is None:
-            # The seek missed the requested frame: it went too far, or the frame is stored after a keyframe that is
-            # displayed later. In both cases, decode from the start of the video.
+            # The seek missed the requested frame: it went past the frame, or the frame is stored after a keyframe that
+            # is displayed later than the frame. In both cases, decode from the start of the video.
             self._seek(0)
             found = self._decode_until(number)
         if found is None:

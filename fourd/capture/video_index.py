@@ -40,9 +40,10 @@ def cached_indices(files: Mapping[str, Path], folder: Path, track: Track) -> dic
 
 
 def index_capture(capture: Path, names: Sequence[str] | None, track: Track) -> None:
-    """Create and cache the indices of all videos that are not listed in the capture's videos.json.
+    """Create the indices of all videos that the capture's video list ``capture``/videos.json does not contain, and
+    store them in the cache file ``capture``/.fourd/videos.json.
 
-    When all indices are cached, opening the capture does not read whole videos. The function does nothing if the
+    When all indices are stored, opening the capture does not read whole videos. The function does nothing if the
     capture has image files or its folder is not writable.
 
     Args:
@@ -51,7 +52,7 @@ def index_capture(capture: Path, names: Sequence[str] | None, track: Track) -> N
         track: progress callback.
 
     Raises:
-        UserError: if a video cannot be used, or videos.json or the cache file is damaged.
+        UserError: if a video cannot be used, or the video list or the cache file is damaged.
     """
     if camera_folders(capture / "images") or not os.access(capture, os.W_OK):
         return

@@ -151,8 +151,9 @@ def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
 
     If the optical axes are almost parallel, many points are almost equally near to them. The result is then determined
     by a weak prior for a point in front of the cameras. Let c be the mean of the camera centres, and d the distance
-    between c and the camera farthest from c. The prior's point is at the distance 4 * d from c. If the axes are not
-    parallel, the prior has almost no effect, because its weight is only 0.1% of the weight of the axes.
+    between c and the camera farthest from c. The prior's point is at the distance 4 * d from c, in the mean viewing
+    direction. If the axes are not parallel, the prior has almost no effect, because its weight is only 0.1% of the
+    weight of the axes.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -194,9 +195,10 @@ def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | Non
 def removed_shares(views: Silhouettes, half: float) -> list[float]:
     """Compute, for each view, how large a fraction in [0, 1] the view removes from the hull of all other views.
 
-    The hull of the other views is computed with an agreement of 1. If this hull is empty, the agreement is lowered in
-    steps, to 0.5 at the lowest, until the hull is not empty. The search cube is centred on the origin of ``views``, and
-    ``half`` is half the cube's side in world units.
+    The agreement is the fraction of the views that must contain a point of the hull. The hull of the other views is
+    computed with an agreement of 1. If this hull is empty, the agreement is lowered in steps, to 0.5 at the lowest,
+    until the hull is not empty. The search cube is centred on the origin of ``views``, and ``half`` is half the cube's
+    side in world units.
     """
     shares = []
     for index, view in enumerate(views.views):

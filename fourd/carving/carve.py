@@ -25,7 +25,7 @@ class CarvedFrame:
     Attributes:
         xyz: (N, 3) float32 world points.
         normals: (N, 3) float32 unit normals that point out of the hull.
-        voxel_size: side length of the finest cells in world units.
+        voxel_size: side length, in world units, of the smallest cells into which space was subdivided.
         spacing: mean distance between neighbouring points in world units.
     """
 

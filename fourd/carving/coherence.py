@@ -24,7 +24,7 @@ from fourd.carving.silhouette import Floats
 Flags = NDArray[np.bool_]
 
 MAX_CELLS = 40_000
-"""While there are at most this number of cells, all cells are subdivided again."""
+"""The hull's cells are subdivided repeatedly, until there are more cells than this number."""
 THRESHOLD = 128
 
 
@@ -55,7 +55,8 @@ def frame_coherence(
 ) -> FrameCoherence:
     """Compare the mattes of one frame with the silhouettes of their visual hulls.
 
-    The hulls consist of cells, of which at least about 100 span the object's longest side.
+    The hulls consist of cells. The cells are subdivided until at least :data:`~fourd.carving.bounds.COARSE_CELLS` of
+    them span the object's longest side, and then until there are more than MAX_CELLS.
 
     Args:
         masks: mattes (H, W) uint8, one per camera; 255 is the object. At least 2 mattes are required.
@@ -68,7 +69,8 @@ def frame_coherence(
     focus, reach = viewing_region(cameras)
     views = Silhouettes.from_masks(masks, cameras, focus, agreement=agreement, least_views=least_views)
     # The candidate cells must also contain each hull that is computed with one view left out. A cell of such a hull may
-    # be excluded by the left-out view in addition to the tolerated outliers, so one more view may exclude a candidate.
+    # be excluded by the left-out view in addition to the tolerated outliers. Therefore, ``rejecting``, the number of
+    # views that may exclude a candidate cell, is the number of tolerated outliers plus 1.
     count = len(views.views)
     rejecting = int(views.tolerated_outliers(np.array(count))) + 1
     cells, size = candidate_cells(replace(views, agreement=max(0.5, 1 - rejecting / count)), 1.5 * reach)

@@ -6,9 +6,10 @@ parts, because they can have the correct colour in every view, like a white lump
 
 First, the hull is filled with cells. Then cells are removed in several rounds. Each round removes the cells whose
 neighbourhood is mostly empty. On each ray through a silhouette, however, the cell with the fullest neighbourhood is
-kept, so that the remaining cells still cover all silhouettes. Such repeated smoothing and thresholding moves a surface
-by its mean curvature (Merriman, Bence and Osher 1994). Kolev and Cremers (2008) also search for a shape that has a
-small area and satisfies silhouette constraints, but they solve a convex problem.
+kept, so that the remaining cells still cover all silhouettes. To find how full the neighbourhoods are, the grid of
+cells is smoothed with a Gaussian. Repeated smoothing and thresholding moves a surface by its mean curvature (Merriman,
+Bence and Osher 1994). Kolev and Cremers (2008) also search for a shape that has a small area and satisfies silhouette
+constraints, but they solve a convex problem.
 """
 
 from __future__ import annotations
@@ -42,13 +43,14 @@ neighbourhood of a cell is half full."""
 MAX_ROUNDS = 12
 
 RAY_CELLS = 0.7
-"""Distance between neighbouring rays through a silhouette, in cells. A larger distance would make the contours
-shrink."""
+"""Distance between neighbouring rays through a silhouette, in cells. With a larger distance, the cells that the rays
+keep would no longer cover the silhouette up to its contour."""
 
 CRUMB_FULLNESS = 0.5
 """Minimum fullness of the fullest cell of a ray, as a fraction of the largest fullness on the adjacent rays. The
-fullness of a cell is the filled fraction of its neighbourhood. If a ray passes between the centres of the object's
-cells, its fullest cell can be a small piece of an excess part. The minimum allows the removal of such a piece."""
+fullness of a cell is the filled fraction of its neighbourhood. If the fullest cell is below the minimum, the ray does
+not keep it. This happens if a ray passes between the centres of the object's cells, and its fullest cell is therefore a
+small piece of an excess part."""
 
 NEAR_CELLS = 1.3
 """A point belongs to a cell if its distance from the cell's centre is at most this multiple of the cell's side."""

@@ -34,8 +34,8 @@ SLACK_FACTOR = np.float32(1.03)
 transform, which is up to 2%."""
 
 MIN_VIEWS = 3
-"""At least this number of views must see a hull point, unless there are fewer views. Two views are not enough, because
-the viewing cones of two silhouettes can intersect where there is no object."""
+"""At least this number of views must see a hull point. Two views are not enough, because the viewing cones of two
+silhouettes can intersect where there is no object. If the capture has only two views, both must see the point."""
 
 DIAGONAL = float(np.sqrt(3) / 2)
 """Half the diagonal of a cell, divided by the cell's side length."""

@@ -153,9 +153,10 @@ def settings_key(capture: MaskSource, settings: DataclassInstance) -> str:
 def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key: str, track: Track) -> Bounds:
     """Return the search box in which the hull of each frame is carved.
 
-    If bounds.json contains the same ``key``, the search box is read from it. If the key differs or the file is missing,
-    the search box is computed and written to bounds.json. If the capture has more than MAX_BOUNDS_FRAMES frames, only
-    some frames are examined, and the margin of the box is three times as wide.
+    ``key`` is the hash of all inputs, see :func:`settings_key`. If bounds.json contains the same key, the search box is
+    read from it. If the key differs or the file is missing, the search box is computed and written to bounds.json. If
+    the capture has more than MAX_BOUNDS_FRAMES frames, only some frames are examined, and the margin of the box is
+    three times as wide.
     """
     state = _load(folder / BOUNDS_NAME, missing_is_empty=True)
     if state.get("key") == key:

@@ -34,8 +34,8 @@ class SilhouetteView:
         matrix: (3, 3) float32 matrix product K * R of intrinsics and rotation.
         offset: (3,) float32 homogeneous pixel coordinates of the origin.
         focal: geometric mean of the focal lengths in pixels.
-        reach: upper bound, in pixels, of how far the projection of a point at depth 1 inside the image moves if the
-            point moves by one world unit.
+        reach: for points at depth 1 inside the image, the largest possible motion of the projection in pixels per world
+            unit of the point's motion.
         frame: left, top, right and bottom borders of the whole image, in pixel coordinates of the distance image.
         distance: (h, w) float32 signed distance to the silhouette in pixels, positive inside. A point outside the crop
             gets the value at the crop's nearest pixel. The point is at least as far outside the silhouette as this

@@ -32,8 +32,8 @@ OutLocation = Annotated[Location, PATH_OR_URL, tyro.conf.arg(aliases=["-o"])]
 @contextmanager
 def scene_or_copy(location: Location) -> Iterator[Location]:
     """Yield a path or URL from which the scene can be read. A local path and the URL of a .4dv file, which can be read
-    in parts, are yielded unchanged. Any other object in a store is copied to a temporary local path, which exists until
-    the block ends."""
+    in parts, are yielded unchanged. Any other URL points to an object store such as S3, and its content is copied to a
+    temporary local path, which exists until the block ends."""
     if isinstance(location, Path) or location.suffix.lower() == ".4dv":
         yield location
         return
@@ -42,7 +42,7 @@ def scene_or_copy(location: Location) -> Iterator[Location]:
 
 
 def transfer_progress() -> Track:
-    """Return a function that reports the progress of copies from and to a store on stderr."""
+    """Return a function that reports the progress of copies from and to an object store on stderr."""
     return Tracker(Terminal(stderr=True)).track
 
 

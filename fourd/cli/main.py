@@ -71,7 +71,7 @@ MAX_MESSAGE = 4000
 """Maximum length of an error message in characters. If a message is longer, for example because it quotes a file, its
 middle is left out."""
 MAX_SHOWN = 200
-"""Maximum number of characters that an error message quotes from a wrong name."""
+"""Maximum number of characters that an error message quotes from a file or camera name that is not valid UTF-8."""
 
 LESS_MEMORY = "use smaller images or fewer points, or a machine with more memory"
 
@@ -167,7 +167,8 @@ def _reader_is_gone() -> bool:
         poll.register(output, 0)
         if not any(event & select.POLLERR for _, event in poll.poll(0)):
             return False
-    # When Python exits, it flushes the output a second time, which would fail again. It succeeds for the null device.
+    # When Python exits, it flushes the output a second time, which would fail again. The output is therefore redirected
+    # to the null device.
     os.dup2(os.open(os.devnull, os.O_WRONLY), output)
     return True
 
@@ -220,7 +221,7 @@ def _report_errors(words: list[str]) -> int:
 
 
 def _is_in_system_folder(error: OSError) -> bool:
-    """Whether the error is a FileNotFoundError for a path in one of :data:`SYSTEM_FOLDERS`."""
+    """Return True if the error is a FileNotFoundError for a path in one of :data:`SYSTEM_FOLDERS`."""
     if not isinstance(error, FileNotFoundError) or not isinstance(error.filename, str):
         return False
     path = Path(os.path.realpath(error.filename))

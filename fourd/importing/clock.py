@@ -1,4 +1,5 @@
-"""Notes of an import for the user: on the common clock of the videos, and on the conversion of their frames."""
+"""Notes that an import prints for the user. They describe the common clock of the videos, and how their frames are
+converted."""
 
 from __future__ import annotations
 

@@ -123,10 +123,13 @@ def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
 def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Path) -> dict[str, str]:
     """Match the names of the cameras that have frames to the names in the calibration.
 
-    Equal names match. If no names are equal, names with equal last numbers match, provided that the last numbers of all
-    calibrations differ. If there is still no match, a camera's name matches if it ends with a separator, optionally
-    "cam", and the calibration's name: 2019-08-02-vid01-camA matches A. Returns the calibration's name for each camera
-    in ``found`` that has a calibration.
+    The first of these rules that gives a match is used:
+    - the names are equal;
+    - the last numbers in the names are equal. This rule is used only if all calibrations have different last numbers;
+    - the camera's name ends with a separator, optionally "cam", and the calibration's name, as in
+      2019-08-02-vid01-camA for the calibration A.
+
+    Returns the calibration's name for each camera in ``found`` that has a calibration.
 
     Raises:
         UserError: when no camera has a calibration, or several videos have the same calibration.

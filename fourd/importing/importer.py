@@ -44,7 +44,7 @@ from fourd.progress import Log, Track
 
 Indices = Mapping[str, VideoIndex]
 
-METRIC_FORMATS = ("qualisys", "anipose", "actorshq", "dna-rendering")
+METRIC_FORMATS = ("qualisys", "anipose", "actorshq", "caliscope", "dna-rendering")
 """Formats whose calibrations are in metres."""
 
 MAX_SAMPLE_FRAMES = 3
@@ -70,7 +70,8 @@ class ImportOptions:
             same sound, and motion otherwise.
         sound_at: position of the sound source in the world, which is used to correct the sound's travel time; see
             :func:`fourd.importing.time_offsets.correct_sound_travel`.
-        resize, centres: see :func:`fourd.calibration.ambiguities.resolve_ambiguities`.
+        resize, centres: how images were resized after the calibration, and whether mirrored principal points are
+            corrected; see :func:`fourd.calibration.ambiguities.resolve_ambiguities`.
         calibrate: calibrate from the images even if the source has a calibration.
         reduce: factor in (0, 1] that multiplies width and height of the frames of videos.
         calibrated_frames: frames of rotated videos that the calibrations belong to; see

@@ -169,8 +169,9 @@ def correct_sound_travel(
 ) -> Estimate:
     """Correct estimated delays by the time that sound takes to travel to each calibrated camera.
 
-    A measured lag is the sum of an offset and a difference of travel times, so it does not determine the position of
-    the sound source. The user can specify the position; otherwise, the point that the cameras face is used.
+    The delay between two soundtracks is the sum of the videos' time offset and the difference of the sound's travel
+    times. To separate the two, the position of the sound source must be known. The user can specify the position;
+    otherwise, the point that the cameras face is used.
 
     Args:
         estimate: delays of the videos. Delays from motion are returned unchanged.

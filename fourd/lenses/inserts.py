@@ -43,7 +43,8 @@ class MirrorFloor:
     colour: tuple[float, float, float] = (0.12, 0.12, 0.13)
 
     def hits(self, origins: Array, directions: Array) -> Array:
-        """Return t (R,) at which rays meet the mirror from its reflecting side; infinity for rays that miss it."""
+        """Return the values t (R,) at which rays ``origin + t * direction`` meet the mirror from its reflecting side;
+        infinity for rays that miss it."""
         away = directions @ self.normal
         height = (origins - self.centre) @ self.normal
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -76,7 +77,8 @@ class GlassBall:
     refractive_index: float = 1.5
 
     def hits(self, origins: Array, directions: Array) -> Array:
-        """Return t (R,) at which rays from outside meet the ball; infinity for rays that miss it."""
+        """Return the values t (R,) at which rays ``origin + t * direction`` from outside meet the ball; infinity for
+        rays that miss it."""
         offset = origins - self.centre
         a, b = (directions**2).sum(1), (offset * directions).sum(1)
         discriminant = b * b - a * ((offset**2).sum(1) - self.radius**2)

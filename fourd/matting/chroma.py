@@ -22,8 +22,8 @@ Picture = NDArray[np.uint8]
 
 DARKEST = 0.4
 BRIGHTEST = 1.4
-"""Upper limit of a pixel's illumination, as a multiple of the screen's median illumination. DARKEST is the lower
-limit."""
+"""Before the screen's chroma is scaled to a pixel's luma, the ratio of the pixel's luma to the screen's luma is clamped
+to the range from DARKEST to BRIGHTEST."""
 MIN_CHROMA = 28.0
 """Minimum chroma magnitude of a screen's colour. The largest possible magnitude is 128.
 
@@ -45,7 +45,7 @@ The value is below 0.5, so that the matte includes edge pixels of which the subj
 """
 SPREAD_FACTOR = 1.6
 """A pixel can belong to the subject only if its :func:`screen_distance` is at least this multiple of the screen's
-spread."""
+spread, the 99th percentile of the screen_distance of the screen's own pixels."""
 MAX_SAMPLES = 20_000
 """Approximate number of border pixels sampled per image."""
 

@@ -1,9 +1,10 @@
 """Clean plates: each camera's background without the subject.
 
-A plate is the mean of a camera's frames over time, as in 4K4D, sec. 4.1. Pixels that show the subject are excluded by
-weights from the mattes. The computation differs from 4K4D in three ways. The mean is a running mean, which needs
-constant memory. The exposure of each frame is matched to the first frame. A second pass excludes pixels that differ too
-much from the mean of the first pass, because the matte has probably missed the subject there.
+A plate is the mean of a camera's frames over time, as in 4K4D, sec. 4.1. The weight of a pixel in this mean is 1 minus
+the dilated matte, so pixels that show the subject are excluded. The computation differs from 4K4D in three ways. The
+mean is a running mean, which needs constant memory. The exposure of each frame is matched to the first frame. A second
+pass excludes pixels that differ too much from the mean of the first pass, because the matte has probably missed the
+subject there.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ The band covers the matte's soft edge and shadows next to the subject.
 OUTLIER_STDS = 3.0
 MIN_OUTLIER_DISTANCE = 6.0
 MIN_WEIGHT = 1.0
-"""A pixel is a hole if its background weight, summed over all frames, is below this value."""
+"""A pixel is a hole, where the background is unknown, if the sum of its weights over all frames is below this value."""
 INPAINT_PX = 5
 
 

@@ -118,8 +118,8 @@ def mix_own_colours(colours: Tensor, visibility: Tensor, own: Tensor | None, sha
         own: (N, 3) own colours of the points, which do not depend on the view. If None, the result is ``colours``.
         share: weight of the own colour in each mixed colour, in [0, 1). If it is positive, mixed colours are clamped to
             [0, 1], because baked scenes store them as bytes. If it is 0, as in the model of the static background, the
-            own colour replaces the colours of views in which the point is occluded: for a view with visibility v and
-            colour c, the mixed colour is ``v * c + (1 - v) * own``.
+            own colour instead replaces the colours of views in which the point is occluded: for a view with visibility
+            v and colour c, the mixed colour is ``v * c + (1 - v) * own``.
 
     Returns:
         (V, N, 3) mixed colours, differentiable in ``colours`` and ``own``.

@@ -183,8 +183,7 @@ class PointModel(nn.Module):
             points: the output of :meth:`evaluate`.
             viewer: the viewing camera.
             sources: the source views nearest to the viewing camera; None if the model uses only SH.
-            shadow: factors by which the image-based colours are multiplied, and which an exported scene stores as
-                bytes.
+            shadow: the shadow on the points, whose factors multiply the image-based colours. None for no shadow.
             train_encoder: whether the image encoder gets a gradient. If false, a training step takes a third less time.
             is_training: whether the colours are used in a training step. If false, they are computed with the SH
                 coefficients of an exported scene; see :meth:`harmonics`.

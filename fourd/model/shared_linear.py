@@ -1,4 +1,4 @@
-"""Compute several linear layers with the same input as one matrix product, which reads the input only once."""
+"""Several linear layers that have the same input, computed as one matrix product. The input is thus read only once."""
 
 from __future__ import annotations
 

@@ -26,8 +26,8 @@ def zeros_aligned(shape: tuple[int, ...], dtype: type[Number]) -> NDArray[Number
 
     The memory of an array of at least :data:`HUGE_PAGE` bytes starts and ends at multiples of :data:`HUGE_PAGE`. NumPy
     requests huge pages for large arrays, and with this alignment, Linux can use them for the whole array. Without huge
-    pages, the stylizer takes a third longer, because its filters read several image rows at once, each in a different
-    page.
+    pages, the stylizer (:mod:`fourd.ops.stylize`) takes a third longer, because its filters read several image rows at
+    once, each in a different page.
     """
     size = prod(shape) * np.dtype(dtype).itemsize
     alignment = HUGE_PAGE if size >= HUGE_PAGE else CACHE_LINE

@@ -2,7 +2,8 @@
 
 The order of the stages is import, check, repair, mattes, plates, adjust, carve (or points), background, train, bake.
 Which stages are needed depends on the contents of the capture and on these settings: the kind of scene, camera
-refinement, given points and segments. A run with segments has one training stage for each segment.
+refinement, the user's initial points, and segments. Segments are ranges of frames with separate models, and each has
+its own training stage.
 """
 
 from __future__ import annotations

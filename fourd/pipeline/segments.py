@@ -109,7 +109,7 @@ def _train_stage(
 
 
 def run_divide(files: DivideFiles, config: TrainConfig, context: Context) -> None:
-    """Write the config of the whole run, and remove the segments of an earlier division that had more segments."""
+    """Write the config of the whole run. If an earlier division had more segments, remove the surplus segments."""
     with start_run(files.capture, files.run, config) as run:
         plan = SegmentPlan.divide(run.capture.frame_count, config.segments)
     for folder in segment_folders(files.run):

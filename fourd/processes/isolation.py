@@ -24,17 +24,19 @@ from fourd.limits import printable
 from fourd.processes.worker import CRASHED, MAX_REPLY_BYTES, read_message, write_message
 
 SECONDS = 8.0
-"""Maximum CPU time of a call in seconds, for an empty file."""
+"""Base value of the CPU time limit of a call, in seconds. SECONDS_PER_MB increases the limit with the size of the
+file."""
 SECONDS_PER_MB = 10.0
-"""Additional CPU time in seconds for each MiB of the file. Decoding one keyframe interval of a strongly compressed
-video takes a few seconds per MiB."""
+"""Seconds that are added to the CPU time limit for each MiB of the file. Decoding one keyframe interval of a strongly
+compressed video takes a few seconds per MiB."""
 MAX_BYTES = 2 << 30
 """Memory in bytes that the child process may use."""
 START = "import json, sys; sys.path[:] = json.loads(sys.argv.pop()); from fourd.processes.worker import main; main()"
 """Program of the child process. It runs in Python's isolated mode, so that no module is imported from the working
 directory."""
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Environment variables that limit libraries to 1 thread, because the buffers of idle threads count as used memory."""
+"""Environment variables that limit libraries to 1 thread. With more threads, the buffers of idle threads would also
+count towards MAX_BYTES."""
 WAIT_FACTOR = 20.0
 """The child process is killed if the wall-clock time of a call exceeds this factor times its CPU time limit. The factor
 is large because other programs may use the CPU, and disks may be slow."""

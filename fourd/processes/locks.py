@@ -72,7 +72,7 @@ def _lock(folder: Path) -> int:
         try:
             descriptor = os.open(folder, os.O_RDONLY)
         except FileNotFoundError:
-            continue  # the process that held the lock has removed its empty folder
+            continue  # another process has removed the folder since mkdir, when it released its lock
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -90,7 +90,8 @@ def _lock(folder: Path) -> int:
 
 
 def _describe_holder(descriptor: int) -> str:
-    """Describe the process that holds the lock. On Linux, /proc/locks contains the ID of this process."""
+    """Describe the process that holds the lock. On Linux, its ID is read from /proc/locks. On other systems, the
+    description is only "another process"."""
     try:
         inode = os.fstat(descriptor).st_ino
         lines = [line.split() for line in Path("/proc/locks").read_text(encoding="ascii").splitlines()]

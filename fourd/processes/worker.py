@@ -108,8 +108,8 @@ def _limit_time(seconds: float) -> None:
 
 
 def _end_with_parent(parent: int) -> None:
-    """Let Linux end this process when its parent process ends. On other systems, this process ends when its standard
-    input ends."""
+    """Let Linux end this process when its parent process ends. On other systems, this process ends when the pipe from
+    which it reads requests is closed."""
     if sys.platform == "linux":
         import ctypes
 

@@ -51,7 +51,7 @@ def render_points(
 
     Let K be the intrinsic matrix, z_i the camera depth of point i, and q_i its projected centre. Its radius in pixels
     is rho_i = K[1, 1] * radius_i / z_i, and its alpha at pixel p is alpha_i(p) = density_i * max(1 - |q_i - p|^2 /
-    rho_i^2, 0). The points with alpha_i(p) > 0 are composited in ascending order of depth (at equal depth, of index).
+    rho_i^2, 0). The points with alpha_i(p) > 0 are composited in ascending order of (depth, index).
 
     The results are differentiable in all tensors. The backward pass treats the selection of points as constant. On the
     CPU, results and gradients are bit-identical for any number of threads.
@@ -67,7 +67,7 @@ def render_points(
         near: points with a camera depth below ``near`` world units are culled. Points are also culled if their radius
             or density is not positive, or if one of their values or their projection is not finite. Culled points have
             zero gradients.
-        background: (C,) or (H, W, C) features behind the points, which are weighted by 1 - alpha. None means 0.
+        background: (C,) or (H, W, C) background features, added with the weight 1 - alpha. None means 0.
         backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
             float32 kernels, or "auto" for the kernels for the tensors' device.
         transmittance_min: compositing of a pixel stops when its transmittance falls below this value. Must be 0 if

@@ -20,8 +20,8 @@ from fourd.storage.url import StorageUrl
 CONNECTIONS = 8
 """Number of objects that are read or written at the same time."""
 LIBRARIES = ("aiobotocore", "aiohttp", "asyncio", "botocore", "builtins", "fsspec", "gcsfs", "google", "s3fs")
-"""Packages whose exceptions :func:`storage_errors` reports as errors of the store. Exceptions of other packages are
-bugs."""
+"""Packages whose exceptions :func:`storage_errors` reports as errors of the store. Exceptions of other packages
+indicate bugs in fourd and are not converted."""
 INSTALL = {
     "s3": ("s3fs", "pip install 'fourd[storage]'"),
     "gs": ("gcsfs", "pip install 'fourd[storage]' gcsfs"),
@@ -110,8 +110,8 @@ def _describe(url: StorageUrl, error: Exception) -> str:
 def run_together(calls: Sequence[Callable[[Event], object]]) -> Iterator[int]:
     """Run calls at the same time, and yield the index of each call when it is finished.
 
-    The calls share an event, which is set after an error or if the caller stops; calls that have not started are then
-    dropped. An error of a call is raised again.
+    Each call gets the same event as its argument. When a call fails, or the caller ends the iteration early, the event
+    is set, and calls that have not started are dropped. The error of a failed call is raised again.
     """
     stop = Event()
     with ThreadPoolExecutor(CONNECTIONS) as pool:

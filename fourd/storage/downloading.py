@@ -1,5 +1,5 @@
-"""Copies objects to the local disk in pieces. A copy must fit on the disk, and each file has the content of one version
-of its object.
+"""Copies objects to the local disk in pieces. A copy must fit on the disk. If an object is replaced while it is copied,
+an error is reported, so a file never mixes two versions of its object.
 """
 
 from __future__ import annotations
@@ -242,7 +242,8 @@ def _open_record(url: StorageUrl, parent: Path) -> dict[str, tuple[int, str]]:
 
 
 def _read_lines(lines: BufferedReader) -> dict[str, tuple[int, str]]:
-    """Read the lines of a record after the first. Incomplete lines, which a killed process leaves, are skipped."""
+    """Read the lines of a record after the first line, which has the URL. Incomplete lines, which a killed process
+    leaves, are skipped."""
     known: dict[str, tuple[int, str]] = {}
     while line := lines.readline(MAX_RECORD_LINE):
         try:

@@ -34,8 +34,8 @@ def open_object(url: StorageUrl) -> BinaryIO:
 
 
 class _Ranges(io.RawIOBase):
-    """The bytes of one version of an object. Several threads may share one instance if the caller ensures that only one
-    uses it at a time."""
+    """The bytes of one version of an object. Single reads are locked, but another thread can change the position
+    between a seek and the next read, so threads that share an instance must take turns."""
 
     def __init__(self, url: StorageUrl, store: Any, stream: Any, version: str) -> None:
         self._url = url

@@ -31,9 +31,9 @@ LEAST_COSINE = 0.1
 TURNING_ROUNDS = 2
 """Number of rounds in which each normal is rotated towards the cameras that see the point."""
 _SEES = 0.3
-"""A camera counts as seeing a point if the camera's weight at this point is above this fraction of the largest weight
-that any camera has at the point. Smaller weights often belong to cameras that see the point through a gap between other
-points."""
+"""A camera counts as seeing a point if its weight at the point (see :class:`Visibility`) is above this fraction of the
+largest weight of any camera at the point. Smaller weights often belong to cameras that see the point through a gap
+between other points."""
 _COARSE = 12
 """Number of cells along the longest side of a coarse grid, which is used to find the outer side of surfaces that no
 camera sees."""
@@ -47,8 +47,8 @@ class Visibility:
     """The cameras that see each point.
 
     Attributes:
-        weights: (N, V) nonnegative weight of each camera at each point, for example the point's blend weight in the
-            camera's view; 0 if the camera does not see the point.
+        weights: (N, V) nonnegative weight of each camera at each point, for example the weight of the camera's image in
+            the point's colour, which is blended from several images; 0 if the camera does not see the point.
         centres: (V, 3) camera centres.
     """
 

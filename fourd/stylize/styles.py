@@ -45,8 +45,8 @@ class Ramp:
             first stop has the tone 0.
         softness: range of tones, from 0 to 1, over which one colour changes to the next.
         map: path of a shade map, a PNG that replaces ``stops``. Its columns have the colours of the tones from 0 to 1,
-            and its rows those of the details from 0 to 1 (see :class:`DetailAxis`). Toon shading has 1 row, and X-Toon
-            shading 1 to 64.
+            and its rows those of the details from 0 to 1 (see :class:`DetailAxis`). The PNG has 1 row for toon shading,
+            and 1 to 64 rows for X-Toon shading.
         gain: factor for the colours.
     """
 
@@ -145,8 +145,9 @@ class LineSettings:
     Attributes:
         filter: none, sobel (nine taps) or cross (five taps).
         depth: a line is drawn where the relative jump of the depth is above this number, which is positive.
-        normal: a line is drawn where the cosine between the pixel's normal and the normal at a tap changes across the
-            filter by more than this number, which is positive.
+        normal: threshold for the cosines between the pixel's normal and the normals at the taps, positive. With sobel,
+            a line is drawn where the cosines on opposite sides of the pixel differ by more than this number. With
+            cross, a line is drawn where the cosine at a tap is below 1 minus this number.
         thickness: distance between the taps in pixels of an image with 1080 rows, 0.25 to 8. Lines are about twice as
             wide.
         opacity: opacity of the strongest lines, 0 to 1.
@@ -203,7 +204,8 @@ class Style:
         base: colour that makes up the fraction ``1 - albedo`` of the surface colours if ``shading`` is "none".
         paper: colour behind the scene, or None for the image's background colour.
         persistence: weight of the previous image in a running average over the images while the camera does not move,
-            from 0 to 0.95. Averaged are the depths, the normals, and the strengths of lines that become stronger.
+            from 0 to 0.95. The depths, the normals and the strengths of lines are averaged, but a line that becomes
+            weaker gets its new strength at once.
         hysteresis: fraction by which line thresholds are reduced where the previous image has a line.
     """
 

@@ -64,12 +64,12 @@ class Offsets:
         frames: offsets in whole frames. The offset of the first camera is 0.
         subframes: offsets with fractions of a frame, from parabolas through the peaks of the correlations.
         confidence: confidence of each camera's offset in [0, 1]. Offsets with a confidence above 0.3 are reliable, and
-            those below 0.1 are unreliable. The lag is estimated for every pair of cameras. A camera's confidence is the
-            mean confidence of the better half of the pairs that include it. A pair's confidence is
-            ``min((p1 - c) / (1 - c), 2 * (p1 - p2))``, where p1 is the peak of the correlation of its two signals, p2
-            the highest correlation at lags more than 3 frames away from the peak, and c = 4 / sqrt(frames) the noise
-            level. A pair's confidence is 0 if its lag differs by more than one frame from the difference of the two
-            cameras' offsets.
+            those below 0.1 are unreliable. For every pair of cameras, the lag is estimated, which is the time shift at
+            which their motion energies correlate best. A camera's confidence is the mean confidence of the better half
+            of the pairs that include it. A pair's confidence is ``min((p1 - c) / (1 - c), 2 * (p1 - p2))``, where p1 is
+            the peak of the correlation of its two signals, p2 the highest correlation at lags more than 3 frames away
+            from the peak, and c = 4 / sqrt(frames) the noise level. A pair's confidence is 0 if its lag differs by more
+            than one frame from the difference of the two cameras' offsets.
     """
 
     frames: tuple[int, ...]
@@ -190,7 +190,7 @@ def _estimate_lag(first: Array, second: Array, max_lag: int) -> tuple[float, flo
     """Find the lag, in frames with sub-frame accuracy, at which ``second[f + lag]`` correlates best with ``first[f]``.
 
     Returns:
-        the lag, and the weight in [0, 1] of this pair of cameras.
+        the lag, and the weight in [0, 1] that this pair of cameras has in the fit of the offsets.
     """
     scores = np.array([_correlation(first, second, lag) for lag in range(-max_lag, max_lag + 1)])
     top = int(scores.argmax())
@@ -222,7 +222,7 @@ def plot_offsets(path: Path | str, names: Sequence[str], energies: Sequence[Arra
     panel shows them shifted by the offsets.
 
     Each camera has a row with its name, offset and confidence. Confidences below 0.1 are printed in red. Each row has a
-    separate vertical scale. The grey lines mark the same frame numbers in both panels.
+    separate vertical scale. Vertical grey lines mark the same frame numbers in both panels.
     """
     height = 3 * MARGIN + ROW * len(names) + MARGIN
     canvas = np.full((height, LABEL + 2 * (PANEL + MARGIN) + MARGIN, 3), 255, np.uint8)

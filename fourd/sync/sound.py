@@ -43,7 +43,8 @@ NOISE_SIGMAS, SURE_SIGMAS = 10.0, 20.0
 """Heights of the correlation peak at which a camera pair's confidence is 0 and 1, in standard deviations of the
 correlation.
 
-For short clips without common sound, the highest value of the correlation was below 11 standard deviations.
+For short clips without common sound, the highest value of the correlation was below 11 standard deviations, which gives
+a confidence below 0.1.
 """
 MAX_LAG_ERROR_SECONDS = 0.003
 LAG_TOLERANCE_SECONDS = 2e-4

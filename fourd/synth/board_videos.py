@@ -53,7 +53,7 @@ class BoardSettings:
         cameras: number of cameras on an arc of 110 degrees, 2 to 100.
         size: width and height of the images in pixels, 128 to 4096.
         seed: seed of all random numbers: the lenses, the motion and the noise.
-        board: the board.
+        board: kind and dimensions of the calibration board.
         optics: blur and noise.
 
     Raises:

@@ -70,7 +70,7 @@ def create_background(
     )
     if config.background.planes.reduction != "product":
         # The K-Planes start at zero because random values would remain as noise in the cells that no plate shows, which
-        # never get a gradient.
+        # never get a gradient. Planes that are multiplied cannot start at zero, because they would get no gradient.
         for plane in model.planes.planes:
             torch.nn.init.zeros_(plane)
     cloud = FramePoints.initial(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)

@@ -20,14 +20,15 @@ class LossConfig:
     image: Literal["mse", "huber"] = "mse"
     """Loss function that compares rendered and true colours."""
     perceptual: float = 1e-3
-    """Weight of the LPIPS loss (VGG-16). LPIPS needs installed network weights; if they are missing, `stand_in`
-    replaces it."""
+    """Weight of the LPIPS loss (VGG-16). LPIPS needs installed network weights; if they are missing, the loss 1 - SSIM
+    replaces it (see `stand_in`)."""
     stand_in: float = 1e-2
     """Weight of the loss 1 - SSIM, which replaces LPIPS if the network weights of LPIPS are missing."""
     mask: float = 1e-1
     """Weight of the mean squared difference between rendered alpha and matte."""
     residual: float = 1e-3
-    """Weight of the mean squared displacement that the residual field adds to the points, in point spacings."""
+    """Weight of the mean squared displacement that the residual field (see `model.residual`) adds to the points. The
+    displacement is measured in point spacings."""
     high_sh: float = 3e-3
     """Weight of the mean squared SH coefficient of degrees 2 and 3 of the foreground points. Used only with
     `appearance: both`."""
@@ -60,7 +61,7 @@ class RateConfig:
     rates. If H is 0, there is no such reduction. Without the reduction, points that no image constrains would move at
     random, and longer training would make novel views worse."""
     sh: float = 5e-3
-    """Learning rate of explicit spherical harmonics and of the points' own colours."""
+    """Learning rate of explicit spherical harmonics and of the points' own colours (see `model.own_colour`)."""
     final: float = 0.05
     """Fraction of its configured value to which each learning rate has decayed at the end of the step or time
     budget."""

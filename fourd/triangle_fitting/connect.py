@@ -134,8 +134,8 @@ def close_holes(
     graph = coo_array((np.ones(len(start), np.bool_), (start, end)), shape=(count, count))
     label = connected_components(graph, directed=False)[1][start]
     hole = np.unique(label, return_inverse=True)[1]
-    # At each vertex of a hole, as many open edges start as end. Every vertex is therefore the start of an open edge, so
-    # the mean over the starts of all open edges includes every vertex.
+    # An open edge belongs to only one triangle. At each vertex of a hole, as many open edges start as end. Every vertex
+    # is therefore the start of an open edge, so the mean over the starts of all open edges includes every vertex.
     number = np.bincount(hole)
     centres = np.stack([np.bincount(hole, xyz[start, axis]) / number for axis in range(3)], axis=1)
     caps = np.stack([end, start, count + hole], axis=1)

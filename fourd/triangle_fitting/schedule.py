@@ -42,8 +42,8 @@ class Phase:
 
 
 def phase_at(share: float, settings: TriangleSettings) -> Phase:
-    """Return the phase when the fraction ``share``, in [0, 1], of the budget is spent. From ``hard_share`` on, opaque
-    triangles are fitted, for which only :func:`surface_rate` is used."""
+    """Return the phase when the fraction ``share``, in [0, 1], of the budget is spent. The phase is used only below
+    ``hard_share``. From there on, opaque triangles are fitted, which need only :func:`surface_rate`."""
     rate = SLOWEST_RATE**share
     if share < settings.soft_share:
         return Phase(SIGMA_RANGE[0], 0.0, rate, True)

@@ -48,7 +48,8 @@ class Arguments:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for rows.json and for the exported files. Rows that rows.json already contains are not measured again."""
     every: int = 8
-    """Every n-th frame is exported to other formats, because the conversion to SOG is slow."""
+    """Step between the frames that are exported to other formats: with 8, every eighth frame is exported. A large step
+    saves time, because the conversion to SOG is slow."""
     levels: tuple[str, ...] = tuple(f"{tier}{level + 1}" for tier in LEVELS for level in range(len(LEVELS[tier])))
     """Levels of packed scenes to measure. The default is all levels."""
     transform: Path | None = None
@@ -104,7 +105,7 @@ class Truth:
 
 
 def main(arguments: Arguments) -> None:
-    """Measure all rows that are missing, and print the table."""
+    """Measure all rows that rows.json does not contain yet, and print the table of all rows."""
     arguments.out.mkdir(parents=True, exist_ok=True)
     path = arguments.out / "rows.json"
     rows = [Row(**row) for row in json.loads(path.read_text())] if path.exists() else []

@@ -1,4 +1,4 @@
-"""Measure rendering time as a function of the number of points, pixels and layers.
+"""Measure rendering time as a function of the number of points, pixels and layers (points composited per pixel).
 
 The program writes a table and a log-log plot to docs/.
 """

@@ -87,7 +87,8 @@ def weld(mesh: TexturedMesh) -> tuple[Floats, NDArray[np.int64]]:
 
 
 def texture(mesh: TexturedMesh, views: list[MeshView], occluder: Occluder) -> TexturedMesh:
-    """Compute a new texture for a mesh."""
+    """Compute a new texture for a mesh: blend the images of all views for each texel. ``occluder`` decides which views
+    see the texel."""
     size = len(mesh.texture)
     welded, source = weld(mesh)
     corners = source[mesh.triangles]

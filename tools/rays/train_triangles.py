@@ -1,4 +1,4 @@
-"""Train soft triangles on one frame by rasterization, by ray tracing, or by ray tracing with fisheye images.
+"""Train triangles with soft edges on one frame, by rasterization, ray tracing, or ray tracing with fisheye images.
 
     python tools/rays/train_triangles.py CAPTURE --test-views 03,09,14 --method raster|rays|fisheye
 

@@ -3,12 +3,13 @@
     python tools/scale/live_cost.py CAPTURE --windows 12 --seconds 20 -- --scale 0.5 --points 12000
 
 The program trains CAPTURE with the options after `--`, and starts `fourd serve` for the run. The training time is
-divided into --windows pairs of time windows of --seconds seconds each. In one window of each pair, the program sends
-requests to the server as often as an open page would. In the other, the server process is stopped (SIGSTOP). The
-program prints the training speeds with and without the page, and their ratio. The speed is measured in steps per second
-of training time, and again in steps per second of CPU time, which depends less on other programs. With --browser,
-Chromium sends the requests instead: it shows the page in one window of each pair, and an empty page in the other. With
---scene, the program also requests the scene's data. With --browser and --scene, Chromium opens the page's scene tab.
+divided into pairs of time windows. --windows is the number of pairs, and --seconds is the length of each window. In one
+window of each pair, the program sends requests to the server as often as an open page would. In the other, the server
+process is stopped (SIGSTOP). The program prints the training speeds with and without the page, and their ratio. The
+speed is measured in steps per second of training time, and again in steps per second of CPU time, which depends less on
+other programs. With --browser, Chromium sends the requests instead: it shows the page in one window of each pair, and
+an empty page in the other. With --scene, the program also requests the scene's data. With --browser and --scene,
+Chromium opens the page's scene tab.
 """
 
 from __future__ import annotations
@@ -134,7 +135,7 @@ def serving(run: Path) -> Iterator[tuple[int, str]]:
 
 @contextmanager
 def asking(url: str, with_scene: bool) -> Iterator[Callable[[bool], None]]:
-    """Yield a function that starts and stops sending the page's requests to the server."""
+    """Yield a function that starts (True) or stops (False) sending the page's requests to the server."""
     is_asking, ended = threading.Event(), threading.Event()
     threading.Thread(target=ask, args=(url, with_scene, is_asking, ended), daemon=True).start()
     yield lambda watched: is_asking.set() if watched else is_asking.clear()
@@ -158,7 +159,7 @@ def ask(url: str, with_scene: bool, is_asking: threading.Event, ended: threading
 
 @contextmanager
 def browsing(url: str, with_scene: bool) -> Iterator[Callable[[bool], None]]:
-    """Start Chromium. Yield a function that opens either the page of the run or an empty page."""
+    """Start Chromium. Yield a function that opens the page of the run (True) or an empty page (False)."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:

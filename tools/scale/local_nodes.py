@@ -14,9 +14,10 @@ ROOT = Path(__file__).resolve().parents[2]
 STORE_BYTES = 80 << 20
 """Size of each node's object store. Ray needs at least 75 MB."""
 TRAINED = "train "
-"""Prefix of the names of the stages that train segments."""
+"""Prefix of the names of the stages that train segments (ranges of frames)."""
 PATIENT = 200
-"""Value of ``patience`` in :func:`local_nodes` for clusters from which no node is removed."""
+"""Value of ``patience`` in :func:`local_nodes` for clusters from which no node is removed. A large value is possible
+there, because Ray does not have to detect lost nodes."""
 TITLE = "ray::"
 """Prefix of the process titles of Ray's workers."""
 OTHER_TITLES = ("IDLE", "DashboardAgent", "RuntimeEnvAgent")
@@ -54,7 +55,7 @@ class LocalNodes:
         self._cluster.remove_node(sorted(self._cluster.worker_nodes, key=id)[index], allow_graceful=False)
 
     def busy(self) -> list[int]:
-        """Return the indices, for :meth:`remove`, of the nodes that run a stage. Needs Linux."""
+        """Return the indices of the nodes that run a stage. :meth:`remove` takes such an index. Needs Linux."""
         raylets = [self._raylet(node) for node in sorted(self._cluster.worker_nodes, key=id)]
         running = {parent for _, parent in self._running().values()}
         return [index for index, raylet in enumerate(raylets) if raylet in running]
@@ -113,7 +114,8 @@ def local_nodes(count: int, cores: int, *, patience: int = 5) -> Iterator[LocalN
     }
     cluster = Cluster(initialize_head=True, head_node_args=head)
     try:
-        # Without the address file, programs that use "--ray auto" on this machine do not join this cluster.
+        # Ray writes the cluster's address to a file, in which "--ray auto" looks for a cluster. The file is removed, so
+        # that other programs on this machine do not join this cluster.
         Path(get_ray_address_file(None)).unlink(missing_ok=True)
         nodes = LocalNodes(cluster, cores)
         for _ in range(count):

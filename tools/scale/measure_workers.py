@@ -73,7 +73,8 @@ class SegmentClock:
         return tuple(self._segments[name] for name in sorted(self._segments))
 
     def read(self, nodes: LocalNodes) -> None:
-        """Add the CPU seconds spent since the last call to the segments that are being trained."""
+        """Read the CPU times of the processes that train segments. For each segment, add the time spent since the last
+        call."""
         for pid, name in nodes.stages().items():
             if name.startswith(TRAINED):
                 with suppress(OSError):  # The process has ended.

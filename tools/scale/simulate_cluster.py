@@ -122,8 +122,8 @@ def report_memory(samples: list[tuple[int, int]]) -> None:
 
 
 def report_bar(text: str) -> None:
-    """Print the first and the last state in ``text`` of the progress bar, which counts the finished segments. Exit if
-    the bar moved backwards or did not end at its full length."""
+    """Print the first and the last state of the progress bar, which counts the finished stages. ``text`` is the output
+    of the run with all states of the bar. Exit if the bar moved backwards or did not end at its full length."""
     shown = [(int(done), int(count)) for done, count in BAR.findall(text)]
     steady = all(before <= after for (before, _), (after, _) in itertools.pairwise(shown))
     whole = bool(shown) and shown[-1][0] == shown[-1][1]

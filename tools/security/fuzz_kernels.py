@@ -1,5 +1,6 @@
-"""Fuzz the kernel functions that Python can call, with libFuzzer, AddressSanitizer and UndefinedBehaviorSanitizer. Use
---threads to call the functions with the stored inputs from three concurrent Python threads, under ThreadSanitizer.
+"""Fuzz the kernel functions that Python can call, with libFuzzer, AddressSanitizer and UndefinedBehaviorSanitizer. With
+--threads, three concurrent Python threads call the functions under ThreadSanitizer, with the inputs that are stored in
+csrc/fuzz/corpus.txt.
 
     python tools/security/fuzz_kernels.py --seconds 60
 

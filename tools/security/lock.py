@@ -21,7 +21,7 @@ PYTHON = "3.11"
 """The oldest Python version that pyproject.toml allows."""
 EXTRAS = ("train", "dev", "docs")
 BUILD = ("cmake", "ninja", "scikit-build-core", "nanobind")
-"""Packages that are needed to build the kernels. `make` installs them in the same environment."""
+"""Packages that are needed to build the kernels. `make` installs them in the same environment as fourd."""
 OF_TORCH = ("torch", "triton", "cuda-", "nvidia-")
 """Packages that are left out. A string that ends with a hyphen is a prefix of package names; any other string is a
 whole name."""

@@ -3,10 +3,10 @@
     python tools/web/compare_viewers.py scene.4dv --frame 12 -o build/viewers
 
 The program exports the frame as Gaussian splats (3DGS PLY). It shows the exported file in Spark and in
-supersplat-viewer (npm packages @sparkjsdev/spark and @playcanvas/supersplat-viewer), and the scene in <fourd-player>.
-All viewers show the frame from the last camera of the scene. The program writes their images and those of
-`fourd.baking.player.Player` as PNG files. It prints a Markdown table with the PSNR of each viewer's image relative to
-the images of `Player`, and with the images per second while the camera moves.
+supersplat-viewer (npm packages @sparkjsdev/spark and @playcanvas/supersplat-viewer). fourd's web player, the HTML
+element <fourd-player>, shows the scene. All viewers show the frame from the last camera of the scene. The program
+writes their images and those of `fourd.baking.player.Player` as PNG files. It prints a Markdown table with the PSNR of
+each viewer's image relative to the images of `Player`, and with the images per second while the camera moves.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ def path_of(camera: Camera, focus: NDArray[np.float64]) -> list[Camera]:
 def turned(camera: Camera, focus: NDArray[np.float64], angle: float) -> Camera:
     """Rotate ``camera`` about the axis through the focus that is parallel to the camera's up direction.
 
-    The image of the result is the image that the unrotated camera would show if the scene were rotated by ``angle``.
+    The rotated camera shows the same image as the unrotated camera would if the scene were rotated by ``angle``.
     """
     x, y, z = camera.rotation[1]
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

@@ -111,7 +111,8 @@ def measure(scene: Path, site: Path, rounds: int) -> str:
 
 
 def decode_natively(archive: zipfile.ZipFile, manifest: Any, frame: int, views: list[int]) -> float:
-    """Decode the same members as the worker. Return the time in milliseconds."""
+    """Decode a frame from the same members (files) of the archive that the web worker reads for it: the points, the
+    spherical harmonics and the source views ``views``. Return the time in milliseconds."""
     folder = f"frames/{frame:06d}"
     names = [POINTS, SH, *([COLOUR] if views else [])]
     members = {name: archive.read(f"{folder}/{name}") for name in names}

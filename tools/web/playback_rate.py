@@ -217,7 +217,8 @@ def repeat_frames(scene: Path, times: int) -> None:
     """Repeat the frames of a packed scene. The repeated frames get new frame numbers, but use the same bytes of the
     file.
 
-    The web player can read the resulting file, although the ZIP directory at its end is not correct.
+    The manifest grows, so the ZIP directory at the end of the file becomes wrong. The web player can still read the
+    file, because it finds the members by their offsets in the manifest.
     """
     content = scene.read_bytes()
     name, extra = struct.unpack_from("<2H", content, NAME_LENGTH_AT)

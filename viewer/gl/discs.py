@@ -32,10 +32,11 @@ _MAX_RANKS = 1 << 24
 class Discs:
     """The discs of the visible points.
 
-    Discs are stored in drawing order, and the rank of a disc is its index plus 1. Sprites that are drawn farthest first
-    are an exception: they are stored in the order of the frame's points, and an index buffer contains their drawing
-    order. In that case, the vertex shader reads the points in texel order, which takes half as long as reading them in
-    depth order.
+    Discs are stored in drawing order: nearest first or, if ``farthest_first`` is True, farthest first. Depth peeling
+    uses nearest first; there, the rank of a disc (its position in depth order, from 1) is its index plus 1. Sprites
+    that are drawn farthest first are stored in the order of the frame's points instead, and an index buffer contains
+    their drawing order. The vertex shader then reads the points in texel order, which takes half as long as reading
+    them in depth order.
     """
 
     def __init__(
@@ -47,8 +48,8 @@ class Discs:
     ) -> None:
         """``passes`` maps the name of each pass to the file of its fragment shader.
 
-        If ``as_texture`` is True, the discs are also stored in :attr:`texture`, in order of rank (depth order), with
-        two texels per disc.
+        If ``as_texture`` is True, the discs are also stored in :attr:`texture`, in drawing order, with two texels per
+        disc.
         """
         self._context = context
         self._farthest_first = farthest_first
@@ -72,7 +73,8 @@ class Discs:
         self._margin: int | None = None
         self._regions = RegionFinder()
         self.region = ImageRegion(0, 0, 1, 1)
-        """Part of the image outside of which the projected discs and the pixel filter have no effect."""
+        """Part of the image that the projected discs can change, with a margin of one pixel for the filter that is
+        applied to the composited image."""
 
     def project(
         self,

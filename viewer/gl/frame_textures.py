@@ -91,9 +91,9 @@ class ArrayTexture:
 class FrameTextures:
     """The arrays of one frame in GPU textures. The next frame reuses the textures.
 
-    Each texture stores the dynamic points first, then unused texels, then the points of the background. A background
-    that consecutive frames share is uploaded once. The colours of the background are uploaded again only if the new
-    frame or the previous frame has a shadow on the background.
+    Each texture stores the frame's own points (the dynamic points) first, then unused texels, then the points of the
+    background. A background that consecutive frames share is uploaded once. The colours of the background are uploaded
+    again only if the new frame or the previous frame has a shadow on the background.
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:

@@ -12,8 +12,8 @@ from fourd.baking import BakedFrame
 from fourd.viewer.display import RenderRequest
 
 _BLOCK = 64
-""":func:`_bounds` computes minima and maxima over the rows of an array that has this number of points per row. With one
-point (3 elements) per row, NumPy would be slow."""
+"""Number of points in each row of the array over whose rows :func:`_bounds` computes minima and maxima. With one point
+(3 elements) per row, NumPy would be slow."""
 
 
 @dataclass(frozen=True)

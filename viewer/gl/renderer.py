@@ -64,7 +64,8 @@ class GLRenderer:
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
         """Draw ``request`` into ``canvas``, at the image size of the request's camera.
 
-        If ``wait`` is True, the depth order is computed for ``request``.
+        If ``wait`` is True, the image shows the frame of ``request`` in its own depth order. If ``wait`` is False, the
+        frame and the depth order may be those of an earlier request.
         """
         order = self._orders.order(request, wait)
         self._stale_images = 0 if order.matches(request) else self._stale_images + 1
@@ -103,9 +104,9 @@ class GLRenderer:
     def _release_styled(self) -> None:
         """Free the objects that only styles need, and all frame textures.
 
-        The frame textures may contain estimated normals, but while no style is used, frames are uploaded without
-        normals. If the textures were kept and a style was chosen again, the background would count as already uploaded.
-        Its new normals would not be uploaded, and the old ones would be drawn.
+        The frame textures are freed so that no outdated normals are drawn. Frames are uploaded with estimated normals
+        only while a style is used. If the textures were kept and a style was chosen again later, the background points
+        would count as already uploaded, and they would be drawn with the normals of the earlier upload.
         """
         if self._styled is None:
             return

@@ -50,8 +50,8 @@ class SurfaceBuffer:
         """Draw the surface. Use the returned textures before the next call, because that call overwrites some of them.
 
         Args:
-            persistence: weight of the previous surface, at least 0 and below 1. Pass 0 if the previous surface was
-                drawn for another camera.
+            persistence: the surface is averaged with the surface of the previous call, which gets this weight, at
+                least 0 and below 1. Pass 0 if the previous surface was drawn for another camera.
         """
         targets, size = self._targets, (request.camera.width, request.camera.height)
         if size != targets.size:
@@ -128,7 +128,8 @@ class StyledDrawing:
     def draw(
         self, compositor: Compositor, project: Project, request: RenderRequest, target: moderngl.Framebuffer
     ) -> None:
-        """Draw a request that has a style. Raises UserError if the style's shade map cannot be read."""
+        """Draw a request that has a style. Raises UserError if the style's shade map, a PNG with the colours from unlit
+        to lit, cannot be read."""
         settings, camera = request.settings, request.camera
         assert settings.style is not None
         is_same_style = self._table is not None and self._table[0] == settings.style

@@ -1,4 +1,4 @@
-"""The Renderer section: the renderer's name, the reason for the choice, and the time per part of an image."""
+"""The Renderer section: the renderer's name, the reason for the choice, and how the time per image is divided."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _draw(state: ViewerState) -> None:
 
 
 def _draw_plot(state: ViewerState, parts: list[str]) -> None:
-    """Draw a stacked plot of the time that each part of an image, such as sorting or drawing, takes."""
+    """Draw a stacked plot of the times of ``parts``, the parts of the work for an image, such as "draw" or "panel"."""
     tops = state.timings.cumulative()
     scale = text_scale(state)
     size = imgui.ImVec2(scale * (PANEL_WIDTH - 20), scale * _PLOT_HEIGHT)

@@ -1,5 +1,6 @@
 """Writes the styles of the web player as a JSON file, which the code in viewer/web/stylize reads. The file contains the
-shaders of viewer/shaders/stylize and, for each style, its shade table and its shader uniforms."""
+shaders of viewer/shaders/stylize and, for each style, its shade table (the colours from unlit to lit) and the values of
+its shader uniforms."""
 
 from __future__ import annotations
 
@@ -53,7 +54,8 @@ def load_styles(paths: Iterable[Path]) -> dict[str, Style]:
 
 
 def write_styles(path: Path, styles: Mapping[str, Style]) -> None:
-    """Write the styles file of the player atomically. Raises UserError if a shade map cannot be read."""
+    """Write the styles file of the player atomically. Raises UserError if the shade map of a style (the PNG
+    from which its shade table is made) cannot be read."""
     content = {
         "shaders": {name: read_shader_body(file) for name, file in _SHADERS.items()},
         "styles": [_describe(name, style) for name, style in styles.items()],

@@ -1,5 +1,6 @@
 // Divides the work of kernels that visit all pairs of neighbouring pixels of an image. Files that are compiled once per
-// instruction set (common/dispatch.h) must not include this header, because they must not call its inline functions.
+// instruction set must not include this header, because calls of its inline functions could end up in a version that is
+// compiled for another instruction set (see common/dispatch.h).
 #pragma once
 
 #include <algorithm>

@@ -119,8 +119,8 @@ void blend_backward(const Plan& plan, const Rows& rows, const Gradients& gradien
                 if (edge_of(codes[column], axis) == 0) continue;
                 const Pair pair{row, column, axis};
                 if (!has_owner(view, pair, codes[column])) {
-                    // Every pair with an edge in `codes`, as counted by count(), has two contributions. If has_owner()
-                    // is false, both are 0.
+                    // count() counts two contributions for every pair whose code has an edge. If the code is invalid,
+                    // so that has_owner() is false, both contributions are 0.
                     if (own && contributions) *contributions++ = {0, 0, 0, 0}, *contributions++ = {0, 0, 0, 0};
                     continue;
                 }

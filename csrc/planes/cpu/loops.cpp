@@ -9,7 +9,7 @@
 namespace fourd::planes::FOURD_SIMD {
 namespace {
 
-constexpr int kPrefetchDistance = 4;  // Number of points between the prefetched point and the current point.
+constexpr int kPrefetchDistance = 4;  // While point i is processed, point i + kPrefetchDistance is prefetched.
 
 FOURD_INLINE void locate_run(const Plan& plan, std::size_t begin, int count, const RunPositions& out) {
     float coordinates[4][kRun];
@@ -29,8 +29,9 @@ FOURD_INLINE void locate_run(const Plan& plan, std::size_t begin, int count, con
     }
 }
 
-// Prefetches the samples of point i of a batch. Only planes in [first, last) that do not fit in the caches of a core
-// are prefetched. `values(k)` returns the values of plane k, or the gradient of these values.
+// Prefetches the plane samples that surround point i of a batch, in the planes [first, last). Planes that fit in the
+// caches of a core are skipped. `values(k)` returns a pointer to the values of plane k, or to the gradient of these
+// values.
 template <typename Values>
 FOURD_INLINE void prefetch_samples(const Plan& plan, const RunPositions& positions, int i, int first, int last,
                                    const Values& values) {

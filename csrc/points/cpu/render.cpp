@@ -20,9 +20,9 @@ Fingerprint fingerprint(const Cloud& cloud, const Settings& settings) {
     return out;
 }
 
-// Adds the slots of a point in order, and computes the gradient of the point from the total. A point has one slot
-// (tiles/depth_bins.h) for each tile that it covers, with the sums of gradients over the pixels of the tile. The
-// template argument Channels is the number of channels if it is known at compile time, and 0 otherwise.
+// Computes the gradient of a point. For each tile that the point covers, one slot (tiles/depth_bins.h) has the sums of
+// gradients over the pixels of the tile. The function adds these slots in order, and computes the gradient from the
+// total. The template argument Channels is the number of channels if it is known at compile time, and 0 otherwise.
 template <int Channels>
 void gather_gradient(const Cloud& cloud, const Settings& settings, const Workspace& workspace, std::size_t point,
                      const CloudGradient& out) {

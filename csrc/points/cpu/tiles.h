@@ -62,7 +62,8 @@ struct Loops {
     void (*join_normals)(const Pinhole& camera, const float* xyz, const float* colours, const std::uint8_t* octahedral,
                          std::size_t begin, std::size_t end, float* out);
 
-    // Renders the colours and the visible surface. The features of the tile are the output of join_normals.
+    // Renders the colours, and the depths and normals of the visible surface. The features of the tile are the output
+    // of join_normals.
     void (*draw_surface)(const Tile& tile, const Surface& out);
 
     // Computes the gradient of a tile. Each pair of a point and a tile has one slot, an index into arrays of results.

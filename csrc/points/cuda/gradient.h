@@ -5,9 +5,9 @@
 
 namespace fourd::points::cuda {
 
-// The gradient of the loss with respect to the image, at one pixel. GradientPixel computes a value for each layer of
-// the pixel from it. points/cpu/gradient.inc has the formulas, and explains why this value does not include the
-// gradient with respect to alpha.
+// The gradient of the loss with respect to the image, at one pixel. From it, GradientPixel computes the "value" of each
+// layer of the pixel: the derivative of the loss with respect to the layer's weight, without the contribution of the
+// pixel's alpha. points/cpu/gradient.inc has the formulas, and explains why this contribution is left out.
 template <int kCapacity>
 struct Upstream {
     float colour[kCapacity];

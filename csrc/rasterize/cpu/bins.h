@@ -25,7 +25,7 @@ class Bins {
     int tiles_per_image() const { return tiles_per_image_; }
     int columns() const { return columns_; }
 
-    // The pieces of a tile, in ascending order of triangles.
+    // The pieces of a tile, in ascending order of their triangle indices.
     const Piece* pieces(int tile) const { return pieces_.data() + begin_[tile]; }
     std::size_t count(int tile) const { return begin_[tile + 1] - begin_[tile]; }
 

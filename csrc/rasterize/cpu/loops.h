@@ -14,7 +14,8 @@ constexpr int kTilePixels = kTile * kTile;
 // elements per array.
 struct Records {
     static constexpr int kFields = 3 * kPlanes + 4;
-    // Shape (kFields, capacity): the members c, x, y, low and high of Planes, the encoded id, and Planes::scale.
+    // Shape (kFields, capacity): the members c, x, y, low and high of Planes, the triangle id encoded as a float
+    // (common/triangle_id.h), and Planes::scale.
     float* values;
     std::uint32_t* references;  // Reference pixels (see Planes): x in the lower 16 bits, y in the upper 16 bits.
     std::size_t capacity;
@@ -32,7 +33,7 @@ struct Tile {
     Screen screen;
     const float* pos;         // Shape (vertices, 4): positions for the image.
     const std::int32_t* tri;  // Shape (triangles, 3).
-    const Piece* pieces;      // Pieces of the tile, in ascending order of their triangles.
+    const Piece* pieces;      // Pieces of the tile, in ascending order of triangle indices.
     std::size_t count;        // Number of pieces.
     int column, row;          // Image column and row of the tile's first pixel.
     Records records;          // Scratch memory for at least `count` records.

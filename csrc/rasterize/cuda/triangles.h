@@ -61,11 +61,12 @@ FOURD_DEVICE static inline float depth_of(std::uint64_t key) {
     return depth;
 }
 
-// The previous layer, and the buffer to which the kernels write the nearest triangle of each pixel.
+// The buffer to which the kernels write the nearest triangle of each pixel. If `previous` is not null, only triangles
+// behind those in `previous` count (depth peeling).
 struct Target {
     Screen screen;
     std::uint64_t* keys;    // Shape (images, height, width).
-    const float* previous;  // Shape (images, height, width, 4): the previous layer, or null.
+    const float* previous;  // Shape (images, height, width, 4): `rast` of the previous layer, or null.
 
     FOURD_DEVICE std::size_t pixel(std::size_t image, int column, int row) const {
         return (image * screen.height + row) * screen.width + column;

@@ -1,4 +1,4 @@
-// The traversal of the tree, compiled once for each instruction set.
+// The traversal of the bounding volume hierarchy (rays/rays.h), compiled once for each instruction set.
 #pragma once
 
 #include "common/dispatch.h"

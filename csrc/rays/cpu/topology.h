@@ -1,4 +1,5 @@
-// The structure of a tree over the boxes of primitives of any kind.
+// Builds the structure of a bounding volume hierarchy (rays/rays.h). The primitives may be of any kind, because only
+// their bounding boxes are used.
 #pragma once
 
 #include <cstddef>

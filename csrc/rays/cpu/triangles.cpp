@@ -32,7 +32,8 @@ Buffer<Reference> references_of(const Mesh& mesh, Team& team) {
                 for (int axis = 0; axis < 3; ++axis) is_valid = is_valid && absolute(at[axis]) <= kMaxMagnitude;
                 extend(&reference.box, at);
             }
-            // A triangle that cannot be hit is still part of the tree, because refit() may make it valid.
+            // A triangle with invalid coordinates cannot be hit, but is still part of the tree, because its coordinates
+            // may be valid when refit() updates the tree.
             if (!is_valid) reference.box = {};
         }
     });

@@ -26,12 +26,11 @@ struct Plan {
     explicit Plan(const Pictures& pictures);
 };
 
-// Number of weighted means over the window of a pixel: the means of the picture, of the truth, of the square of the
-// picture, of the square of the truth, and of the product of picture and truth.
+// Number of weighted means over the window of a pixel. With the picture p and the reference picture t (called truth),
+// these are the means of p, t, p^2, t^2 and p * t.
 constexpr int kMeans = 5;
 
-// Number of derivatives of the similarity: with respect to the mean of the picture, the mean of its square and the mean
-// of its product with the truth.
+// Number of derivatives of the similarity: with respect to the means of p, p^2 and p * t (see kMeans).
 constexpr int kDerivatives = 3;
 
 struct Loops {

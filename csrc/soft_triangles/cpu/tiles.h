@@ -35,7 +35,9 @@ struct Visits {
     std::uint16_t* blocks;   // Shape (count,): mask of the blocks that each entry may hit.
     std::uint32_t* entries;  // Shape (count,): index of the entry of each visit.
     float* x;                // Shape (count, 16): log-odds of the coverage D (maths.h).
-    float* depth;            // Shape (count, 16): depth of the triangle, or kNoHit at pixels that do not use it.
+    // Shape (count, 16): depth of the triangle, or kNoHit at pixels that the triangle does not hit, and at pixels where
+    // it is not among the nearest Tile::layers triangles.
+    float* depth;
 };
 
 struct Loops {

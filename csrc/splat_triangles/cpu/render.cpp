@@ -23,9 +23,9 @@ Fingerprint fingerprint(const Mesh& mesh, const Settings& settings) {
     return out;
 }
 
-// Sums the slots of a triangle in a fixed order, and computes the gradients of the triangle's corners from the sum. A
-// triangle has one slot (tiles/depth_bins.h) for each tile that it covers, with the sums of gradients over the pixels
-// of the tile.
+// Computes the gradients of a triangle's corners, features, opacity and sigma. For each tile that the triangle covers,
+// one slot (tiles/depth_bins.h) has the sums of gradients over the pixels of the tile. The function adds these slots in
+// a fixed order, and computes the gradients from the total.
 void gather_gradient(const Mesh& mesh, const Settings& settings, Workspace& workspace, std::size_t triangle,
                      const MeshGradient& out) {
     const std::size_t channels = static_cast<std::size_t>(mesh.channels), width = kShapeSums + channels;

@@ -20,7 +20,7 @@ struct Workspace {
     tiles::DepthBins bins;
     tiles::Slots slots;
     Buffer<Splat> splats;                    // Indexed by triangle. Only visible triangles have a valid splat.
-    Buffer<float> sums;                      // Indexed by slot. Each (triangle, tile) pair has one slot.
+    Buffer<float> sums;                      // Gradient sums, one row per slot. A slot is a (triangle, tile) pair.
     Buffer<float> corners;                   // Gradients of the positions of the 3 vertices of each triangle.
     std::vector<Scratch> scratch_by_worker;  // Indexed by worker.
 

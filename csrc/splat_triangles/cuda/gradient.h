@@ -5,9 +5,12 @@
 
 namespace fourd::splat_triangles::cuda {
 
-// `channel` is the gradient of the loss with respect to the composited channels of a pixel. `rest` is the quantity
-// rest_k that splat_triangles/cpu/gradient.inc defines. The constructor sets it to its value in front of the first
-// triangle.
+// `channel` is the gradient of the loss with respect to the composited channels of a pixel. `rest` is needed for the
+// gradients with respect to the alphas of the triangles (rest_k in splat_triangles/cpu/gradient.inc). Let w_j be the
+// compositing weight of triangle j, v_j the dot product of its channels and `channel`, g the gradient with respect to
+// the pixel's alpha, and T_end the final transmittance. Then
+//     rest = (sum of w_j * v_j over the triangles behind the current one) - g * T_end.
+// The constructor computes `rest` in front of the first triangle, where the sum contains all triangles.
 template <int kCapacity>
 struct Upstream {
     float channel[kCapacity];

@@ -1,8 +1,9 @@
 // The backward pass on the CPU. The texels of each level are divided into bands of consecutive texels, whose gradient
 // sums stay in the L2 cache. A first pass over the pixels writes the gradients of uv, uv_da and bias, and lists for
-// each band the pixels that read its texels. In a second pass, one worker per band, or per part of a large band's list,
-// adds the gradients of these pixels to sums of its own, in the order of the pixels. The sums of the parts are then
-// added in order. The second pass therefore needs no locks, and results do not depend on the number of threads.
+// each band the pixels that read its texels. A second pass adds the gradients of the listed pixels to the sums of the
+// band, in the order of the pixels. One worker processes the list of a band. If the list is long, it is divided into
+// parts with separate sums, which different workers can process. The sums of the parts are then added in order. The
+// second pass therefore needs no locks, and results do not depend on the number of threads.
 #include <cstring>
 
 #include "common/buffer.h"

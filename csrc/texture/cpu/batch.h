@@ -139,7 +139,8 @@ FOURD_INLINE void blend_weights(Batch& b, int slot) {
     }
 }
 
-// A type whose value is a boundary mode. with_boundary passes an object of this type to `work`.
+// Makes a boundary mode a compile-time constant: with_boundary calls work(BoundaryTag<mode>()) for a mode that is known
+// only at run time, and `work` uses the constant `value` of the type of its argument.
 template <Boundary boundary>
 struct BoundaryTag {
     static constexpr Boundary value = boundary;
@@ -155,8 +156,8 @@ FOURD_INLINE void with_boundary(Boundary boundary, const Work& work) {
     }
 }
 
-// A type whose value is the number of channels, or 0 for any number. with_channels passes an object of this type to
-// `work`.
+// Makes the number of channels a compile-time constant, as BoundaryTag does for the boundary mode. The value 0 stands
+// for any number other than 1, 3 and 4.
 template <int channels>
 struct ChannelsTag {
     static constexpr int value = channels;

@@ -123,8 +123,8 @@ FOURD_INLINE void add_four(const Four& from, float weight, float* to) {
 #endif
 }
 
-// For each entry and each texel that its pixel reads in the band, adds to the sum of the texel: the gradient of the
-// pixel times the weight of the texel.
+// Adds the contributions of the entries to the gradient sums of the band's texels. If the pixel of an entry reads a
+// texel of the band, the contribution to this texel is the gradient of the pixel times the weight of the texel.
 template <int Channels>
 FOURD_INLINE void add_entries(const Query& query, const Batch& b, std::size_t first, const Entry* entries,
                               const float* gradient, const BandSums& band) {

@@ -121,8 +121,8 @@ struct SampleBackward {
 
 // A channel of a texel of a mip level is the mean of `rows` x `columns` values of the next finer level. Computes the
 // offset of the first of these values, the steps to the next column and the next row, and the weight `share` of each
-// value. One row index runs over all faces of all textures, because the finer level has exactly `rows` rows for each
-// row of the coarser level.
+// value. The rows of all faces of all textures are numbered consecutively. Row i of the coarser level is computed from
+// the `rows` rows of the finer level that start at row i * rows.
 struct Mean {
     std::size_t first, next_column, next_row;
     float share;

@@ -42,13 +42,14 @@ def add_field_depths(
     continued: Sequence[Surface],
     track: Track,
 ) -> list[Surface]:
-    """Fill the unknown cells of measured surfaces with median depths of the field that another plate confirms.
+    """Fill the unknown cells of measured surfaces with median depths of the field, if another plate confirms these
+    depths.
 
     Let A be the number of other plates whose surfaces agree with a cell's depth, and O the number of other plates whose
     surfaces the cell would occlude. The cell is confirmed if A >= 1 and O <= A. Confirmed cells get support 1.
-    Unconfirmed cells take the extrapolated depth of ``continued`` instead of the field's depth. Where only one plate
-    sees a surface, colours do not determine its depth, and the field only reproduces, with noise, the extrapolated
-    depth on which it was optimised.
+    Unconfirmed cells take the extrapolated depth of ``continued`` instead of the field's depth, for the following
+    reason. Where only one plate sees a surface, colours do not determine its depth, and the field only reproduces, with
+    noise, the extrapolated depth on which it was optimised.
 
     Args:
         field: the optimised field.

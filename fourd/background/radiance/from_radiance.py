@@ -1,4 +1,5 @@
-"""Compute background points from clean plates with a radiance field that is supervised by stereo depths."""
+"""Compute background points from clean plates (images of the empty scene) with a radiance field that is supervised by
+stereo depths."""
 
 from __future__ import annotations
 
@@ -28,9 +29,9 @@ from fourd.progress import Log, Track, untracked
 Array = NDArray[np.float64]
 
 FEW_SHARE = 0.1
-"""Limit for two fractions of the depth-map cells outside the plates' holes. If the fraction with a measured depth is
-below the limit, a rough shape of the room guides the extrapolation of depths. If the fraction with a confirmed depth is
-below the limit, the log calls the result a rough estimate."""
+"""Limit for two fractions of the depth-map cells outside the plates' holes (areas that do not show the background). If
+the fraction with a measured depth is below the limit, a rough shape of the room guides the extrapolation of depths. If
+the fraction with a confirmed depth is below the limit, the log calls the result a rough estimate."""
 MIN_SHARE = 0.01
 """If the fraction of depth-map cells with a confirmed depth, among all cells outside the plates' holes, is below this
 value, an error is raised."""
@@ -49,10 +50,11 @@ def seed_from_radiance(
     """Create coloured points of a static background. The points are evenly spread over the plates' images.
 
     Stereo measures depths where two plates match (:mod:`fourd.background.stereo`); elsewhere, depths are extrapolated.
-    A radiance field (Mueller et al. 2022) is then optimised on the plates' colours and on these depths. With cameras 20
-    degrees apart, colours alone do not determine the geometry: the field would fit each plate with structures that only
-    this plate's camera sees. In depth-map cells without stereo depth, the field's median depth is used if another plate
-    confirms it. The same input, seed and number of torch threads give the same points.
+    A radiance field (Mueller et al. 2022) is then optimised on the plates' colours and on these depths. The depths are
+    needed, because colours alone do not determine the geometry if the cameras are 20 degrees apart: the field would fit
+    each plate with structures that only this plate's camera sees. In depth-map cells without stereo depth, the field's
+    median depth is used if another plate confirms it. The same input, seed and number of torch threads give the same
+    points.
 
     Args:
         plates: clean plates of at least two cameras.

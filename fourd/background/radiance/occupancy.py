@@ -42,8 +42,9 @@ class OccupancyGrid:
         Args:
             rays: R rays.
             count: number of intervals per ray.
-            jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1). If None, each edge is at the
-                centre of its stratum.
+            jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1). The strata divide the cumulative
+                weight of the ray's histogram into count + 1 equal parts. If None, each edge is at the centre of its
+                stratum.
             hint: (R,) normalised distance near which the samples of each ray are denser than elsewhere, or NaN for rays
                 without a hint.
 
@@ -70,6 +71,6 @@ class OccupancyGrid:
         self.density.scatter_reduce_(0, cells, density, "amax")
 
     def cell_of(self, xyz: Tensor) -> Tensor:
-        """Convert world points (..., 3) to indices (...) into ``density``."""
+        """Return the indices (...), in the array ``density``, of the cells that contain world points (..., 3)."""
         ijk = (self.contraction.to_unit(xyz) * self.cells).long().clamp(0, self.cells - 1)
         return (ijk[..., 2] * self.cells + ijk[..., 1]) * self.cells + ijk[..., 0]

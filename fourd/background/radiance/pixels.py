@@ -20,8 +20,8 @@ from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.patches import index_intrinsics
 
 MIN_INVERSE_RATIO = 0.5
-"""Minimum ratio of the inverse depth at a pixel to the inverse depth at the centre of its cell. Below this ratio, which
-occurs if the cell's plane is seen almost edge-on, the pixel's depth is not used."""
+"""Minimum ratio of the inverse depth at a pixel to the inverse depth at the centre of its cell. If the ratio is lower,
+the pixel's depth is not used. Such low ratios occur if the cell's plane is seen almost edge-on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,8 @@ class Pixels:
             plates: the plates at the size used for stereo.
             measured: surfaces from stereo, one per plate.
             continued: the same surfaces with extrapolated depths in unknown cells.
-            unit: the contraction's radius in world units. Distances along rays are in multiples of this radius.
+            unit: radius of the field's space contraction in world units. Distances along rays are in multiples of this
+                radius.
         """
         parts = [_plate_pixels(*each, unit) for each in zip(plates, measured, continued, strict=True)]
         plate = torch.repeat_interleave(torch.tensor([len(part.xy) for part in parts]))

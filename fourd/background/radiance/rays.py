@@ -82,8 +82,8 @@ def resample_edges(edges: Tensor, weights: Tensor, count: int, jitter: Tensor | 
         edges: (C + 1,) ascending edges of the histogram's bins.
         weights: (R, C) weights of the bins. Each weight is at least 0, and each row has a positive sum.
         count: number of intervals per ray.
-        jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1). If None, each edge is at the centre of
-            its stratum.
+        jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1). The strata divide the cumulative
+            weight of the histogram into count + 1 equal parts. If None, each edge is at the centre of its stratum.
     """
     cumulative = functional.pad(weights.cumsum(1), (1, 0))
     cumulative = cumulative / cumulative[:, -1:]

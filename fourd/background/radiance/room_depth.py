@@ -29,7 +29,7 @@ NEAR, FAR = 0.02, 100.0
 """First and last depth of ray marching, as multiples of the camera's distance from the room's centre."""
 MIN_KNOWN = 0.1
 """Minimum fraction of depth-map cells with known depth. Below it, the room's shape is unreliable. The room is then
-enlarged such that it contains a large ball around its centre. Only the part of the ball above the floor counts."""
+enlarged such that it contains a large ball around its centre, apart from the part of the ball below the floor."""
 HALL_RADIUS = 1.5
 """Radius of the ball that a room with an unreliable shape must contain, as a multiple of the farthest camera's distance
 from the room's centre."""

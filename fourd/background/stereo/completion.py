@@ -44,9 +44,9 @@ def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], se
     """Complete the unknown cells of surfaces.
 
     A completed depth is the minimum of an interpolated depth and the depth of the nearest enclosing plane. The
-    interpolated depth comes from harmonic interpolation of inverse depth, which is exact for planar surfaces. The given
-    values of the interpolation are the known cells that lie on no enclosing plane, and points that are known or
-    interpolated in other images.
+    interpolated depth comes from harmonic interpolation of inverse depth, which is exact for planar surfaces. The
+    interpolation starts from two kinds of cells with fixed values: known cells that lie on no enclosing plane, and
+    cells that contain projections of points that are known or interpolated in other images.
 
     A cell remains unknown if it would occlude a known surface of another image. If less than a quarter of an image's
     cells are known, none of its unknown cells is completed. Completed cells have support 0, because no other image

@@ -1,5 +1,5 @@
-"""Stereo reconstruction of clean plates: estimate a depth map of each plate, and remove depths that are inconsistent
-with other plates.
+"""Stereo reconstruction of clean plates (images of the empty scene): estimate a depth map of each plate, and remove
+depths that are inconsistent with other plates.
 
 A depth map is a grid of cells. Each cell is centred on a pixel and stores a plane in space.
 """
@@ -63,7 +63,7 @@ class StereoResult:
 
     @property
     def visible_cells(self) -> int:
-        """Number of depth-map cells outside the plates' holes, at least 1."""
+        """Number of depth-map cells outside the plates' holes (areas that do not show the background), at least 1."""
         return max(1, sum(int(plate.seen[plate.grid().indices].sum()) for plate in self.plates))
 
     @property

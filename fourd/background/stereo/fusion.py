@@ -123,7 +123,8 @@ def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list
 def _filter_consistent(index: int, surfaces: Sequence[Surface], strict: bool) -> Surface:
     """Keep the cells that at least one other surface confirms.
 
-    If ``strict`` is true, the number of surfaces that confirm a kept cell must also exceed the number that it occludes.
+    If ``strict`` is true, the number of surfaces that confirm a kept cell must also exceed the number of surfaces that
+    the cell occludes.
     """
     surface = surfaces[index]
     cells = np.flatnonzero(surface.known)

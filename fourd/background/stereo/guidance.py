@@ -19,8 +19,9 @@ from fourd.background.stereo.patches import Floats, GreyView
 Array = NDArray[np.float64]
 
 GUIDE_WEIGHT = 0.01
-"""Weight of the value 0 when the correction (known inverse depth minus the guide's inverse depth) is interpolated into
-unknown cells. It makes the correction decay with the distance from known cells. With this weight, the correction halves
+"""Weight of the value 0 in the following mean. The correction (known inverse depth minus the guide's inverse depth) of
+an unknown cell is a weighted mean of the corrections of its neighbours, whose weights are at most 1, and of the value
+0. The value 0 makes the correction decay with the distance from known cells: with this weight, the correction halves
 every seven cells. If few cells are known, they are unreliable, and the correction must decay faster; therefore, the
 weight is divided by the square of the fraction of known cells."""
 MIN_GUIDE_FACTOR = 0.25

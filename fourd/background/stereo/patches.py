@@ -25,11 +25,12 @@ LEVELS = 4
 texture only at large scales."""
 MIN_TEXTURE = 2.5 / 255
 """Minimum root mean square difference between the grey values, in [0, 1], of neighbouring samples in a window. Each
-cell uses the smallest window size that exceeds this minimum in every direction."""
+cell uses the smallest window size for which this difference exceeds the minimum in every direction."""
 NOISE_STD = 1.5 / 255
 """Standard deviation of image noise, for grey values in [0, 1]. Windows with less contrast cannot be matched."""
 MIN_VISIBLE = 0.6
-"""Minimum fraction of a window's samples that lie outside holes."""
+"""Minimum fraction of a window's samples that lie outside holes, which are areas of a clean plate that do not show the
+background."""
 SINGLE_SOURCE_PENALTY = np.float32(0.05)
 """Value that is subtracted from the correlation if the cell is visible in only one source image."""
 UNKNOWN_SCORE = np.float32(-1.0)
@@ -54,7 +55,7 @@ class GreyView:
 
     @staticmethod
     def from_rgb(camera: Camera, rgb: NDArray[np.uint8], seen: NDArray[np.bool_]) -> GreyView:
-        """Convert an image (H, W, 3) with valid pixels ``seen`` (H, W)."""
+        """Convert an RGB image (H, W, 3), whose valid pixels are ``seen`` (H, W), to blurred grey images."""
         grey = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.float32) / np.float32(255) - np.float32(0.5)
         known = seen.astype(np.float32)
         greys = []
@@ -191,8 +192,8 @@ class _PlaneWarp:
         return _PlaneWarp(matrix.astype(np.float32), shift.astype(np.float32))
 
     def is_inside(self, pixels: Floats, planes: Floats, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """Return a mask (n,) of the cells that project into the other image, which has the shape (H, W). The projected
-        point of a cell lies on the cell's plane (n, 3) at the cell's centre ``pixels`` (n, 3)."""
+        """Return a mask (n,) of the cells that project into the other image, which has the shape (H, W). A cell's
+        centre ``pixels`` (n, 3) is mapped into the other image through the cell's plane (n, 3)."""
         x, y, depth = self._warp_centres(pixels, planes)
         height, width = shape
         return (depth > 0) & (x >= 0) & (y >= 0) & (x <= (width - 1) * depth) & (y <= (height - 1) * depth)
@@ -255,7 +256,7 @@ def _correlations(first: Floats, second: Floats) -> Floats:
 
 
 def _masked_correlations(first: Floats, second: Floats) -> Floats:
-    """Compute the correlations of :func:`_correlations` for windows with NaN samples."""
+    """Compute the same correlations as :func:`_correlations`, for windows in which NaN marks invisible samples."""
     known = np.isfinite(first) & np.isfinite(second)
     count = known.sum(axis=0)
     out = np.full(len(count), UNKNOWN_SCORE, np.float32)

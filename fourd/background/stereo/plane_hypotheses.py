@@ -68,9 +68,9 @@ def triangle_planes(xyz: Array, camera: Camera, grid: Grid) -> list[Floats]:
     """Create planes from a Delaunay triangulation of the projections of points ``xyz`` (M, 3).
 
     Returns:
-        up to two sets of planes (N, 3), with one plane per cell. In the first set, it is the plane of the triangle that
-        contains the cell, or NaN if there is none. In the second set, it is the fronto-parallel plane at the depth of
-        the point that is nearest to the cell in the image.
+        up to two sets of planes (N, 3), with one plane per cell. In the first set, a cell's plane is the plane of the
+        triangle that contains the cell, or NaN if there is none. In the second set, it is the fronto-parallel plane at
+        the depth of the point that is nearest to the cell in the image.
     """
     pixels, depth = camera.project(xyz)
     pixels, depth = pixels[depth > 0] - 0.5, depth[depth > 0]

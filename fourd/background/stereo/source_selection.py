@@ -25,8 +25,8 @@ value per sampled point."""
 
 
 def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthest: float) -> list[int]:
-    """Select up to 6 source cameras for the reference camera ``index`` such that, if possible, two of them see each
-    point in its frustum.
+    """Select up to 6 source cameras for the reference camera ``index`` such that, if possible, at least two of them see
+    each point in the frustum of the reference camera.
 
     Points are sampled in the frustum between the depths ``nearest`` and ``farthest``. A source camera's score for a
     point depends on the triangulation angle with the reference camera. The objective is the sum of each sampled point's

@@ -24,8 +24,8 @@ EDGE_TOLERANCE = 0.05
 with a relative error above this value."""
 MAX_PARTS = 2
 """Maximum number of parts into which a square is divided along each axis. More parts would close all gaps between
-points on steep surfaces, but would shift the texture of a floor upwards in the image by half the size of a point,
-because each point of the floor would hide the lower half of the points behind it."""
+points on steep surfaces. But each point of a floor would then hide the lower half of the points behind it, which would
+shift the floor's texture upwards in the image by half the size of a point."""
 
 
 @dataclass(frozen=True, eq=False)

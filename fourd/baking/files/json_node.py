@@ -18,7 +18,7 @@ class ManifestError(ValueError):
 
 
 class JsonNode:
-    """Wraps a JSON object and records its path inside the manifest, which error messages name."""
+    """Wraps a JSON object, and records the object's path inside the manifest for error messages."""
 
     def __init__(self, content: object, where: str) -> None:
         if not isinstance(content, dict):

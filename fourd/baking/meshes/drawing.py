@@ -1,4 +1,5 @@
-"""Drawing of triangle meshes as images, and as the visible surface (depths and normals) that styles need."""
+"""Drawing of triangle meshes as images, and as the visible surface (depths and normals), from which drawing styles
+(:mod:`fourd.stylize`) compute shading and lines."""
 
 from __future__ import annotations
 
@@ -87,8 +88,8 @@ def draw_mesh(mesh: Mesh, camera: Camera, *, samples: int = SAMPLES, threads: in
 
 
 def _box(xyz: NDArray[np.float32], camera: Camera) -> tuple[int, int, int, int]:
-    """Return left, top, width and height, in pixels, of an image region that contains the mesh. It has at least one
-    pixel. If the mesh extends behind the camera, it is the whole image."""
+    """Return left, top, width and height, in pixels, of an image region that contains the mesh. The region has at least
+    one pixel, and is the whole image if the mesh extends behind the camera."""
     pixels, depth = camera.project(xyz)
     if depth.min() <= 0:
         return 0, 0, camera.width, camera.height
@@ -124,8 +125,8 @@ def _sample_cameras(camera: Camera, samples: int) -> Iterator[Camera]:
 
 def _clip(xyz: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     """Return clip coordinates (V, 4). The far plane lies behind all vertices. The near plane lies between the camera
-    and the nearest vertex in front of it. If its depth would be less than ``_NEAR_SHARE`` times the far plane's depth,
-    it is moved to this depth and can clip vertices."""
+    and the nearest vertex in front of it. If the near plane's depth would be less than ``_NEAR_SHARE`` times the far
+    plane's depth, the near plane is moved to this depth, and can clip vertices."""
     points = xyz.astype(np.float64) @ camera.rotation.T + camera.translation
     depth = points[:, 2]
     in_front = depth[depth > 0]

@@ -1,4 +1,4 @@
-"""Rendering of meshes, with the captured colours or in a style."""
+"""Rendering of meshes, with the captured colours or in a drawing style (:mod:`fourd.stylize`)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ class PlayableMeshes:
         style: the style, or None for the captured colours.
 
     Raises:
-        UserError: if a file is not a valid mesh, or if the style's shade map cannot be read.
+        UserError: if a file is not a valid mesh, or if the style's shade map (image with the colours of the shading)
+            cannot be read.
     """
 
     def __init__(self, path: Path, style: Style | None = None) -> None:

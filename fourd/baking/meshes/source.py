@@ -36,7 +36,7 @@ class MeshSource:
         path: a file, or a folder with one file for each frame.
 
     Attributes:
-        frame_numbers: the number of each frame, from the names of the files.
+        frame_numbers: for each frame, its number, taken from the name of its file.
     """
 
     def __init__(self, path: Path) -> None:

@@ -35,5 +35,6 @@ def fill_unseen_colours(frame: BakedFrame) -> BakedFrame:
 
 
 def has_own_unseen_colours(frame: BakedFrame) -> bool:
-    """Return True if the colour of any point differs from its mean colour in a view in which its blend weight is 0."""
+    """Return True if any point has a colour other than its mean colour in a view in which the point's blend weight is
+    0."""
     return frame.view_count > 0 and not np.array_equal(fill_unseen_colours(frame).rgb, frame.rgb)

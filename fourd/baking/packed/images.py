@@ -5,9 +5,9 @@ in the view is its mean colour plus the difference at its projection.
 
 An image is stored as a header and a key frame of VP9 (profile 0, 8 bits, 4:2:0). The texels form a grid over the camera
 image: if s is the encoding's ``image_scale``, texel (i, j) covers the square from (i, j) / s to (i + 1, j + 1) / s in
-pixels. Only one region of the grid is stored: it contains the projections of the points that the view sees. In the
-planes, the value 128 encodes the difference 0. The conversion to red, green and blue is that of JFIF (BT.601, full
-range).
+pixels. Only one region of the grid is stored: it contains the projections of the points that the view sees. In all
+three planes (Y, Cb and Cr) of the frame, the value 128 encodes the difference 0. The conversion to red, green and blue
+is that of JFIF (BT.601, full range).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ MAX_SIDE = 1 << 14
 """Largest width and height of an image in texels."""
 _NEAR, _HALF = np.float32(1e-6), np.float32(0.5)
 _FRAME_BYTES_PER_TEXEL = 2
-"""Maximum size of a stored image in bytes per texel. It is larger than that of lossless VP9 frames."""
+"""Maximum size of a stored image in bytes per texel. Even lossless VP9 frames are smaller."""
 _SMALLEST_FRAME = 1024
 _KEY_FRAME = b"\x82", b"\x83"
 """The valid first bytes of a visible VP9 key frame of profile 0, without and with error resilience (VP9 specification,
@@ -61,7 +61,8 @@ class ViewImage:
 
 
 def load_av() -> ModuleType:
-    """Import PyAV, which is slow, and return it. Raises UserError if PyAV is not installed."""
+    """Import and return PyAV. It is not imported with this module, because the import is slow. Raises UserError if PyAV
+    is not installed."""
     try:
         import av
     except ImportError as error:

@@ -243,10 +243,10 @@ def _decode_view(member: bytes, points: int, encoding: CloudEncoding) -> NDArray
 def _sample_view(
     member: bytes, xyz: NDArray[np.float32], mean: NDArray[np.uint8], camera: Camera, scale: float
 ) -> NDArray[np.uint8]:
-    """Return the content of a view's member in the form that it has without images: the weight codes, then the colours
-    in steps of 1/255.
+    """Convert a view's member with an image to the content of a member without images: the weight codes, then the
+    differences of the colours from the mean colours, in steps of 1/255.
 
-    The colours are sampled from the view's image. ``mean`` has the mean colours as planes (3, N).
+    The differences are sampled from the view's image. ``mean`` has the mean colours as planes (3, N).
     """
     points = len(xyz)
     content = decompress(member, points + largest_image(camera, scale))

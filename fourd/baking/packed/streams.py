@@ -25,7 +25,7 @@ MAX_RATIO = 1024
 """Maximum compression ratio of a member, far above that of real points. Without a limit, a small file whose members are
 all zeros would take gigabytes of memory."""
 SMALL_BYTES = 1 << 24
-"""Maximum size in bytes of contents whose compression ratio is not limited."""
+"""The compression ratio is not limited by MAX_RATIO if the content has at most this number of bytes."""
 
 
 class StreamError(ValueError):

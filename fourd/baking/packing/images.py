@@ -36,8 +36,8 @@ from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.cameras import Camera
 
 BLURS = (2.0, 1.0, 0.7, 0.0, 0.0)
-"""Standard deviation, in texels, of the blur in each iteration of :func:`fit_plane`, which blurs the correction that it
-adds to the plane. The first iterations blur most, to fill the gaps between points."""
+"""Standard deviation, in texels, of the blur in each iteration of :func:`fit_plane`. An iteration blurs its correction,
+and then adds it to the plane. The first iterations blur most, to fill the gaps between points."""
 _OPTIONS = {"b": "0", "lag-in-frames": "0", "deadline": "good", "cpu-used": "1", "aq-mode": "0"}
 """Options of libvpx-vp9: constant quality, and a packet for each frame."""
 _DAMPING = 0.02

@@ -13,7 +13,8 @@ from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.ops.shade.harmonics import SH_TERMS
 
 LIGHT_SH_BASE, LIGHT_SH_RANGE = 0.5, 1.0
-"""Constants of the colour ``base + range * tanh(dot(sh, Y(d)))`` in light scenes."""
+"""Constants of the colour ``base + range * tanh(dot(sh, Y(d)))`` in light scenes, where Y(d) are the spherical
+harmonics in the viewing direction d."""
 LIGHT_DEGREE = 2
 """Maximum degree of the fitted spherical harmonics."""
 MAX_TANH = 0.95

@@ -35,9 +35,9 @@ class PackReport:
         parts: for each kind of member, such as "points" or "views", the mean compressed size per frame in bytes. For
             "background", the total size, because the background is stored once.
         streamed: mean compressed size, in bytes per frame, of the members that a player fetches for one viewing camera:
-            the members of ``neighbours`` source views, and all members that do not belong to a source view.
+            the members of ``manifest.neighbours`` source views, and all members that do not belong to a source view.
         colour_psnr: PSNR, in dB, of the colours in the source views against those of the source scene. None if the tier
-            does not store them as images.
+            does not store these colours as images.
     """
 
     bytes: int
@@ -67,8 +67,8 @@ def pack_scene(
         level: index of the tier's level in :data:`fourd.baking.packing.precision.LEVELS`. 0 is the finest. None selects
             the level of :data:`fourd.baking.packing.precision.DEFAULT_LEVELS`.
         storage: compression and order of the members.
-        has_normals: whether the packed scene has normals, which web pages need to draw styles. If ``source`` has none,
-            they are estimated.
+        has_normals: whether the packed scene has normals, which web pages need to draw it in a style
+            (:mod:`fourd.stylize`). If ``source`` has none, they are estimated.
 
     Raises:
         UserError: if ``source`` is not a valid scene or has no frames, or if ``out`` cannot be written.
@@ -86,9 +86,10 @@ def pack_scene(
 def measure_frames(
     reader: SceneReader, frames: Sequence[int], tier: Tier, level: int, compression: Compression = "zstd"
 ) -> float:
-    """Measure the mean number of bytes per frame that a player fetches for one viewer, on some of the frames.
+    """Measure the mean number of bytes per frame that a player fetches for one viewer.
 
-    ``frames`` are the indices of these frames. The background is not included, because it is fetched once.
+    The mean is taken over the frames with the indices ``frames``. The background is not included, because it is fetched
+    once.
     """
     packer = _Packer(reader, tier, level, frames, untracked, has_background=False)
     sizes = {
@@ -168,7 +169,7 @@ class _Packer:
 
     def _read(self, index: int, *, for_file: bool = False) -> BakedFrame:
         """Read the dynamic points of a frame that are visible in at least one view, and convert them for the tier.
-        Unless ``for_file`` is true, they have no normals.
+        Normals are left out if ``for_file`` is false.
         """
         cloud = self.reader.read_dynamic(index)
         visible = _select(cloud, find_visible(cloud, self.reader.manifest, self.precision.min_visibility))
@@ -177,8 +178,8 @@ class _Packer:
     def _prepare(self, cloud: BakedFrame, *, is_background: bool = False) -> BakedFrame:
         """Convert a cloud for the tier, with normals if the packed scene has them.
 
-        Normals are estimated before the conversion: they are oriented towards the source views that see a surface, and
-        the conversion for the tier "light" removes the source views.
+        Normals are estimated before the conversion, because they are oriented towards the source views that see a
+        surface, and the conversion for the tier "light" removes the source views.
         """
         if not self.has_normals:
             return self.convert(replace(cloud, normals=None))

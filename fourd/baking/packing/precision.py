@@ -25,8 +25,8 @@ class Precision:
             of :func:`fourd.baking.colour_fit.viewpoints`.
         crf: constant quality of the source-view images, from 0 (best) to 63. If None, the colours are stored for each
             point instead.
-        texels_per_radius: number of image texels that the median radius of the visible points spans, in the source view
-            in which this radius is largest in pixels.
+        texels_per_radius: resolution of the source-view images. For each source view, the median radius of the visible
+            points in pixels is computed. The largest of these medians spans this number of image texels.
     """
 
     positions_per_radius: int

@@ -18,8 +18,9 @@ from fourd.ops.shade.harmonics import SH_CONSTANT, SH_TERMS
 
 RADIUS_PER_SCALE = 2.0
 SPLAT_SH_BASE, SPLAT_SH_RANGE = 0.5, 16.0
-"""Constants of the colour ``base + range * tanh(dot(sh, Y(d)))`` of frames that are made from splats. The range is so
-large that the colour differs by less than 0.002 from the linear formula of splats, for colours in [-0.5, 1.5]."""
+"""Constants of the colour ``base + range * tanh(dot(sh, Y(d)))`` of frames that are made from splats, where Y(d) are
+the spherical harmonics in the viewing direction d. The range is so large that the colour differs by less than 0.002
+from the linear formula of splats, for colours in [-0.5, 1.5]."""
 MAX_PIECES = 8
 """Maximum number of points by which one elongated splat is replaced."""
 _SAMPLES = 4096

@@ -110,7 +110,8 @@ class StyledPlayer:
         the paper, which is the style's background.
 
         The arguments are those of :meth:`fourd.baking.player.Player.draw`. ``background`` is the paper colour for
-        styles that define no paper. Raises UserError if the style's shade map cannot be read.
+        styles that define no paper. Raises UserError if the style's shade map (image with the colours of the shading)
+        cannot be read.
         """
         is_same_style = self._table is not None and self._table[0] == style
         table = self._table_of(style)

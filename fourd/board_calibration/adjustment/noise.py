@@ -154,7 +154,8 @@ def estimate_noise(
     """Re-estimate the standard deviations for the current state of the rig.
 
     The independent errors are the residuals after fitting a separate pose of the board to each view. The shared errors
-    are estimated together with the pose of the board, from frames in which two or more cameras see the board.
+    are estimated together with the pose of the board, from frames in which two or more cameras see the board. Their
+    standard deviations are at least those in ``floor``.
     """
     residual = corners.pixels - found.pixels
     shared = shared_derivatives(state, corners, found)

@@ -87,7 +87,8 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """The time at which each camera sees each row of its images, and the motion of the board during this time.
+    """The time at which each camera sees each row of its images, and the board's motion, from which the board's pose at
+    this time is computed.
 
     A corner at the phase q of the readout is seen at the time ``f + delay + q * readout`` in frames, where f is the
     frame number. The phase is -0.5 at one edge of the sensor, 0 in its middle and 0.5 at the opposite edge.
@@ -161,7 +162,8 @@ class Projection:
         pixels: (N, 2) projections with lens distortion.
         depth: (N,) depths in metres.
         by_camera: (N, 2, 17) derivatives with respect to the parameters of each corner's camera.
-        by_board: (N, 2, 6) derivatives with respect to the pose of each corner's board.
+        by_board: (N, 2, 6) derivatives with respect to the pose of the board that ``Corners.board`` selects for the
+            corner.
         by_corner: (N, 2, 3) derivatives with respect to the corner's position on the board.
         by_time: (N, 2) derivatives with respect to the time of each corner, in pixels per frame.
     """

@@ -218,7 +218,8 @@ def standard_deviations(state: RigState, corners: Corners, free: Free, errors: E
     inverse = np.linalg.pinv(reduced * np.outer(scale, scale), rcond=1e-14, hermitian=True) * np.outer(scale, scale)
     scores = plain.gradients - np.einsum("fij,fj->fi", eliminated, plain.rhs_boards)
     # The covariance of the prior's gradient is added. This gradient is ``precision`` times the offset from the prior's
-    # mean. The covariance of the offset is the inverse of ``precision``, so that of the gradient is ``precision``.
+    # mean. The covariance of the offset is the inverse of ``precision``, so the covariance of the gradient is
+    # ``precision``.
     precision, _ = _prior(state, free)
     covariance = inverse @ (scores.T @ scores / _curvature(weights.corner) ** 2 + precision) @ inverse
     variance = np.diag(covariance)[: free.cameras.size].reshape(free.cameras.shape)

@@ -139,7 +139,7 @@ def check_agreement(path: Path | str, track: Track | None = None) -> Agreement:
 
 
 def assess_agreement(path: Path | str, found: CaptureMatches) -> Agreement:
-    """Compute the epipolar residuals of matches of the capture in ``path``."""
+    """Compute the epipolar residuals of the matches ``found`` in the capture ``path``."""
     residuals = compute_residuals(found.matches, found.cameras)
     count = sum(map(len, found.matches.values()))
     if not residuals.pairs:

@@ -16,8 +16,8 @@ from fourd.cameras import Camera
 class MatchScore:
     """Summary of the distances of matches from their epipolar lines.
 
-    The median is used instead of the mean, because a third of the feature matches can be wrong if the cameras are 90
-    degrees apart, and these affect the mean distance more than the calibration does.
+    The median is used instead of the mean, because wrong matches affect the mean distance more than the calibration
+    does. If the cameras are 90 degrees apart, a third of the feature matches can be wrong.
 
     Attributes:
         median_px: median distance in pixels, or NaN if there are no matches.
@@ -34,7 +34,7 @@ class MatchScore:
 
 
 def score_matches(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> MatchScore:
-    """Score ``cameras`` with matches in pixels of the distorted images."""
+    """Compute the score of ``cameras`` from matches, whose positions are in pixels of the distorted images."""
     parts = [np.abs(epipolar_distances(found, cameras[i], cameras[j])) for (i, j), found in matches.items()]
     distances = np.concatenate([np.zeros(0), *parts])
     if not len(distances):

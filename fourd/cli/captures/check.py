@@ -66,8 +66,8 @@ def _check(capture: Path, arguments: Arguments) -> None:
     warnings = (*report.warnings, *(agreement.warnings if agreement else ()), *found, *poor)
     for title, style, lines in (("problem", "bold red", report.problems), ("warning", "yellow", warnings)):
         for line in first_lines(lines, MOST_LINES):
-            # If the capture is in a store, the check runs on a local copy of it. Messages name the capture's URL,
-            # because the user does not know the path of the copy.
+            # If the capture is in an object store such as S3, the check runs on a local copy of it. Messages name the
+            # capture's URL, because the user does not know the path of the copy.
             shown = line.replace(str(capture), name)
             console.print(Text(f"{title}: ", style).append(shown, "default"), soft_wrap=True)
     if report.problems:

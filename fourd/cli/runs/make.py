@@ -1,5 +1,5 @@
-"""Make a 4D scene from videos or a capture. The stages are import, check, calibration repair, mattes, plates, carving,
-training and baking."""
+"""Make a 4D scene from videos or a capture. The stages are import, check, calibration repair, mattes, clean plates
+(images of the background without the subject), carving, training and baking."""
 
 from __future__ import annotations
 

@@ -57,7 +57,8 @@ def run(arguments: Arguments) -> None:
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     for name, value in rows:
-        # An object in a store is read from a local copy. Show its URL, because the user does not know the copy's path.
+        # A file in an object store such as S3 is read from a local copy. Show the file's URL, because the user does not
+        # know the path of the copy.
         table.add_row(name, Text(value.replace(str(path), location)))
     Terminal().print(table)
 
@@ -211,7 +212,7 @@ def _video(path: Path) -> Rows:
 
 
 def describe_video_in_child(name: str) -> Rows:
-    """Describe a video in this process."""
+    """Describe a video. :func:`_video` calls this function in its child process."""
     import av
 
     from fourd.capture.video import open_container

@@ -79,10 +79,12 @@ def make_lens(options: LensOptions, camera: Camera, focus: NDArray[np.float64]) 
 
 
 def make_inserts(options: LensOptions, cameras: list[Camera], subject: NDArray[np.float32]) -> tuple[Insert, ...]:
-    """Return the mirror and the ball around a subject with the points ``subject`` (N, 3).
+    """Return the mirror floor and the glass ball that the options request. Their default positions and sizes are
+    computed from the subject's points ``subject`` (N, 3).
 
     Raises:
-        UserError: if the ball is not given by four numbers, or if the subject has no points.
+        UserError: if the value of --glass-ball is neither "auto" nor four valid numbers, or if the subject has no
+            points.
     """
     if not options.mirror_floor and options.glass_ball is None:
         return ()

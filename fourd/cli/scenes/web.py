@@ -23,8 +23,8 @@ class Arguments:
     """Writes a folder of static files: a page, a poster image, the player and the scene."""
 
     scene: ScenePath
-    """The .4dv file to show, of any version. If the scene is already packed, it keeps its tier, and --tier is
-    ignored."""
+    """The .4dv file to show, of any version. If fourd pack has already compressed the scene, its quality does not
+    change, and --tier is ignored."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The folder to write. An earlier site in this folder is replaced."""
     tier: Annotated[Tier, describe(*TIER_HELP)] = "stream"
@@ -69,8 +69,8 @@ def run(arguments: Arguments) -> None:
 
 
 def _choose(scene: Path, max_mbps: float, track: Track) -> Choice:
-    """Choose the best encoding, a tier and a level (set of quantisation steps), with which a web page can play an
-    unpacked scene without pauses over a connection of ``max_mbps`` Mbit/s."""
+    """Choose how to encode an unpacked scene: the tier, and the level (set of quantisation steps). The choice is the
+    best quality that a web page can play without pauses over a connection of ``max_mbps`` Mbit/s."""
     reader = SceneReader(scene)
     is_packed = reader.manifest.encoding is not None
     reader.close()

@@ -1,7 +1,7 @@
 """ActorsHQ: calibration.csv beside rgbs/CAM/CAM_rgb000000.jpg and masks/CAM/CAM_mask000000.png.
 
 Each row of the CSV contains the camera-to-world pose (OpenCV axes) as a rotation vector and a position in metres. Focal
-lengths and principal points are in units of the image's width and height. The origin of these coordinates is the corner
+lengths and principal points are in units of the image's width and height. The origin of image coordinates is the corner
 of the first pixel, as in fourd.
 """
 

@@ -187,8 +187,8 @@ def _read_model(path: Path) -> tuple[dict[str, _Lens], list[_Photo]]:
 
 
 def read_in_child(name: str) -> dict[str, Any]:
-    """Read a model with pycolmap, in this process. Returns JSON values. Raises UserError in the same cases as
-    :func:`read`."""
+    """Read a model with pycolmap, and return JSON values. This function is called in a child process. Raises UserError
+    in the same cases as :func:`read`."""
     model = _load_model(Path(name))
     registered = [model.images[number] for number in model.reg_image_ids()]
     return {

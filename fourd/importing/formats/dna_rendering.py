@@ -106,8 +106,8 @@ def _find_files(source: Path) -> list[Path]:
 
 
 def _find_annotations(path: Path) -> Path | None:
-    """Find NAME_annots.smc beside NAME.smc or in ../annotations/. In the data set, the folder annotations/ is beside
-    the folder main/."""
+    """Find NAME_annots.smc beside NAME.smc or in ../annotations/. The data set has NAME.smc in the folder main/, and
+    NAME_annots.smc in the folder annotations/ beside main/."""
     name = f"{path.stem}{ANNOTATIONS}"
     paths = [path.with_name(name), path.parent.parent / "annotations" / name]
     return next((found for found in paths if found.is_file()), None)

@@ -50,7 +50,8 @@ class Hdf5File:
         return bool(self._call("has", name).value)
 
     def numbered(self, name: str, required: bool = True) -> dict[int, str]:
-        """Return the paths of a group's members, keyed by the members' numbers, in ascending order.
+        """Return the paths of the members of a group whose members have numbers as names. The paths are keyed by these
+        numbers, in ascending order.
 
         If the group is missing and not ``required``, the result is empty.
         """
@@ -94,7 +95,8 @@ class Hdf5File:
 
 
 def read_in_child(path: str, method: str, name: str, *arguments: Any) -> Any:
-    """Call a method of :class:`_OpenFile` in this process. Returns JSON values and bytes."""
+    """Call a method of :class:`_OpenFile`, and return JSON values and bytes. :class:`Hdf5File` calls this function in
+    its child process."""
     if method not in METHODS:
         raise ValueError(f"expected one of {METHODS}, got {method}")
     with _OpenFile(Path(path)) as file:

@@ -1,7 +1,7 @@
 """transforms.json of nerfstudio and instant-ngp: camera-to-world poses (x right, y up, z backwards).
 
-The first pixel's centre is (0.5, 0.5), as in fourd. If the entries have no times, every entry is a camera with one
-frame.
+The first pixel's centre is (0.5, 0.5), as in fourd. The JSON has one entry per image. If the entries have no times,
+every entry is a camera with one frame.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def read(source: Path) -> Imported:
 
     Raises:
         UserError: when the JSON is invalid, a value is missing or invalid, a lens is a fisheye, a path is outside the
-            folder or has no image, or cameras differ in their times.
+            folder or has no image, or a camera lacks an image at a time at which another camera has one.
     """
     path = _json_path(source)
     try:

@@ -26,8 +26,8 @@ PRIOR_PIXELS = 500.0
 SHARE_ITERATIONS = 3
 MIN_LOG_LIKELIHOOD = np.float32(-20.0)
 CONFIDENT_FRAMES = 3.0
-"""The confidence of a pixel's background colour is 1 if the total weight of the matching frames is at least this
-value."""
+"""The confidence of a pixel's background colour is 1 if the total weight of the frames in which the pixel has this
+colour is at least CONFIDENT_FRAMES."""
 LOG_TWO_PI = float(np.log(2 * np.pi))
 
 

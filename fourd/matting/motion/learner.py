@@ -25,8 +25,8 @@ SURROUND_PX = 20
 """Width in pixels of the band around the subject whose colours represent the background."""
 MIN_WEIGHT = np.float32(0.04)
 COLOUR_MARGIN = np.float32(1.0)
-"""Limit of the log-odds that a pixel's colour belongs to the subject. Where the log-odds equal COLOUR_MARGIN,
-:func:`_background_weight` is 0.5. Where they equal -COLOUR_MARGIN, :func:`_background_confirmation` is 0.5.
+"""Two weights decrease from 1 towards 0 as the log-odds that a pixel's colour belongs to the subject increase.
+:func:`_background_weight` is 0.5 at the log-odds COLOUR_MARGIN, and :func:`_background_confirmation` at -COLOUR_MARGIN.
 """
 COLOUR_SLOPE = np.float32(2.0)
 MIN_BACKGROUND_WEIGHT = np.float32(0.02)
@@ -208,7 +208,7 @@ def _background_confirmation(odds: Floats) -> Floats:
 
     Pixels that are always inside the other views' hull may show a static part of the subject. Its colour is as constant
     over time as the colour of the background, so a constant colour is no evidence for background at these pixels. Only
-    a colour that is typical of the background is.
+    a colour that is typical of the background counts as evidence.
     """
     return np.maximum(probability(COLOUR_SLOPE * (-COLOUR_MARGIN - odds)), MIN_CONFIRMATION)
 

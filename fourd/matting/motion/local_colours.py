@@ -20,8 +20,8 @@ REACH_PX = 20.0
 GLOBAL_WEIGHT = 4.0
 """Each local histogram is mixed with the histogram of the whole image, which has the weight of this number of pixels.
 
-The histogram of the whole image dominates at grid points with few counted pixels nearby. The argument ``counted`` of
-:meth:`LocalColours.from_picture` selects the counted pixels.
+Both histograms count only the pixels that the argument ``counted`` of :meth:`LocalColours.from_picture` selects. At
+grid points with few such pixels nearby, the histogram of the whole image dominates.
 """
 
 

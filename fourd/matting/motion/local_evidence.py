@@ -1,8 +1,9 @@
-"""Log-odds from local colours, at pixels whose background is unknown.
+"""Log-odds that a pixel shows the subject, from the colours of the subject and the background near the pixel.
 
-The histograms of :class:`~fourd.matting.motion.evidence.Appearance` cover the whole image, so a colour that occurs both
-on the subject and on the floor is ambiguous. In a small part of the image, few colours are ambiguous, because a part of
-the subject and the floor next to it usually have different colours.
+They are used where the background model does not know the background of the pixel itself, for example because the
+subject covers it in all frames. The histograms of :class:`~fourd.matting.motion.evidence.Appearance` cover the whole
+image, so a colour that occurs both on the subject and on the floor is ambiguous. In a small part of the image, few
+colours are ambiguous, because a part of the subject and the floor next to it usually have different colours.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ SUBJECT_LOG_ODDS = np.float32(2.0)
 GLOBAL_SHARE = 0.15
 """Weight in [0, 1] of the subject's colours from the whole recording in the mixture with the subject's local colours.
 
-The local colours come only from pixels that certainly show the subject. Without the mixture, a part of the subject
-would be missed if its colour occurs at none of these pixels nearby.
+The local colours come only from nearby pixels that certainly show the subject. Without the mixture, a part of the
+subject would be missed if none of these pixels has its colour.
 """
 MAX_LOG_ODDS = np.float32(8.0)
 WEIGHT = np.float32(1.0)
@@ -53,7 +54,8 @@ class LocalEvidence:
 
     @staticmethod
     def from_background(background: BackgroundModel, region: NDArray[np.bool_]) -> LocalEvidence:
-        """Collect the colours of the known background of one camera near the subject's ``region`` (h, w)."""
+        """Collect the colours of one camera's background near ``region`` (h, w), which contains the subject in all
+        frames. Only pixels whose background is known with a confidence above MIN_CONFIDENCE count."""
         left, top, width, height = cv2.boundingRect(region.astype(np.uint8))
         margin = round(REACH_PX / 2)
         window = (
@@ -66,7 +68,7 @@ class LocalEvidence:
         return LocalEvidence(window, colours, WEIGHT * (1 - confidence))
 
     def add(self, own: Floats, combined: Floats, rgb: Picture, subject: ColourHistogram) -> Floats:
-        """Add local evidence to the log-odds of one frame's image (h, w, 3).
+        """Return the log-odds ``own`` plus the weighted local log-odds, for one frame's image ``rgb`` (h, w, 3).
 
         ``own`` (h, w) are the log-odds from this camera only, and ``combined`` (h, w) also contain the evidence of the
         other views. Pixels where both are above SUBJECT_LOG_ODDS supply the subject's local colours. The histogram
@@ -86,7 +88,8 @@ class LocalEvidence:
 
 
 def local_evidence(backgrounds: Sequence[BackgroundModel], regions: Sequence[NDArray[np.bool_]]) -> list[LocalEvidence]:
-    """Return the local evidence of each camera."""
+    """Collect the local background colours of each camera from its background model and the region (h, w) of its images
+    that the subject covers over time."""
     return [
         LocalEvidence.from_background(background, region)
         for background, region in zip(backgrounds, regions, strict=True)

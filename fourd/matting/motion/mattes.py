@@ -1,4 +1,7 @@
-"""Mattes of all frames from the learned models, at a higher resolution than during learning."""
+"""Mattes of all frames from learned colour models of the subject and of each camera's background.
+
+The images from which log-odds are computed here are larger than the images from which the models are learned.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,8 @@ Picture = NDArray[np.uint8]
 MAX_SIDE_PX = 640
 """Maximum length in pixels of the longest side of the images from which log-odds are computed.
 
-If the recorded images are larger, the refinement of edges at full size adds the missing detail.
+If the recorded images are larger, :func:`fourd.matting.edges.refine_matte` computes the mattes at full size from these
+log-odds and the recorded images.
 """
 
 
@@ -38,8 +42,8 @@ class MatteMaker:
         appearances: colour models of the subject and the background, one object per camera, at the image size of
             ``cameras``.
         cameras: cameras of the reduced images from which log-odds are computed.
-        grid: voxel grid for multi-view consistency, or None for a single camera or for parallel
-            cameras, whose views cannot be combined.
+        grid: voxel grid of the visual hull, which combines the views. None for a single camera and for cameras with
+            parallel optical axes, whose views are processed independently.
         local: local colours of each camera's background.
     """
 

@@ -28,8 +28,8 @@ Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
 SUBJECT, BACKGROUND = 204, 51
-"""Smallest grey value of white strokes, and largest grey value of black strokes. Pixels with a grey value between the
-two are unknown."""
+"""Pixels of a painted image with a grey value of at least SUBJECT are white strokes and mark the subject. Pixels with a
+grey value of at most BACKGROUND are black strokes and mark the background. Other pixels are unknown."""
 PAINTED_LOG_ODDS = np.float32(16.0)
 REACH_FRAMES = 12
 MAX_COLOUR_CHANGE = 24

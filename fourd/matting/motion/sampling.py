@@ -18,8 +18,8 @@ Picture = NDArray[np.uint8]
 
 MAX_FRAMES = 24
 MAX_PIXELS = 32 << 20
-"""Maximum total number of sampled pixels in all cameras and frames. With this limit, sampled images need 100 MB, and
-derived data needs 200 MB."""
+"""Maximum total number of sampled pixels in all cameras and frames. With this limit, the sampled images need 100 MB,
+and the data computed from them needs 200 MB."""
 
 MAX_SIDE_PX = 512
 MAX_STEP = 4

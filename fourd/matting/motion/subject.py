@@ -33,11 +33,12 @@ Flags = NDArray[np.bool_]
 
 ITERATIONS = 4
 LOCAL_ITERATIONS = 2
-"""Number of additional iterations after the first ITERATIONS iterations. Their E-step also uses local colours. In their
-M-step, a pixel with a low probability of the subject counts as background even if it lies inside the visual hull of the
-other views. The background between the subject's limbs, which the hull often covers, thus becomes known. The first
-additional iteration makes the subject's edges more accurate. The second finds background that is visible only next to
-the subject."""
+"""Number of additional iterations after the first ITERATIONS iterations. Their E-step also uses local
+colours (:mod:`fourd.matting.motion.local_evidence`). In their M-step, a pixel with a low probability of the subject
+counts as background even if it lies inside the visual hull of the other views. The background between the subject's
+limbs, which the hull often covers, thus becomes known. The first additional iteration makes the subject's edges more
+accurate. With these edges, the second also finds background that is visible only while the subject is directly beside
+it."""
 MIN_REGION_PIXELS = 20
 """Minimum number of changing pixels. If every camera has fewer changing pixels, the capture has no moving subject."""
 COARSE_CELLS = (48, 64, 64)
@@ -57,8 +58,8 @@ class Subject:
         appearances: colour models of the subject and the background, one object per camera, at the size of the sampled
             images.
         cameras: cameras of the sampled images.
-        box: minimum and maximum corner (3,) of the subject's bounding box over all frames, in world units, or None if
-            the views cannot be combined.
+        box: minimum and maximum corner (3,) of the subject's bounding box over all frames, in world units. None
+            for a single camera and for cameras with parallel optical axes, whose views are processed independently.
     """
 
     appearances: tuple[Appearance, ...]

@@ -98,8 +98,8 @@ def _append_frame(document: dict[str, Any], file: GlbFile, offset: int, index: i
 def _append_keyframes(document: dict[str, Any], count: int, fps: float, offset: int) -> bytes:
     """Append the animation to the document, and return the bytes of its keyframes, to be stored at ``offset``.
 
-    Frame i is shown from i / fps to (i + 1) / fps. Each node has its last keyframe at the end of the animation. All
-    nodes thus have the same duration, and the animation loops after the last frame.
+    Frame i is shown from i / fps to (i + 1) / fps. The last keyframe of each node is at the end of
+    the animation, so that all nodes have the same duration and the animation repeats only after the last frame.
     """
     keys = b""
     samplers, channels = [], []

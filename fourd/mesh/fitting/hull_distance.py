@@ -22,9 +22,12 @@ BAND_CELLS = 2
 """Number of cubes by which the grid extends, on each side, beyond the cubes that contain the surface of the hull."""
 
 SMOOTHING_CELLS = 1.2
-"""Standard deviation of the Gaussian that smooths the hull's occupancy before and after excess parts are removed, in
-units of the cell size of :class:`_RemovedParts`. Excess parts are protrusions without which the hull still covers all
-mattes."""
+"""Standard deviation of the Gaussian in :class:`_RemovedParts`, in units of the cell size.
+
+The hull's excess parts, which are protrusions without which the hull still covers all mattes, are removed. The Gaussian
+smooths the occupancy of the hull with and without these parts. The difference is the fraction of a point's
+neighbourhood that was removed.
+"""
 
 DISTANCE_CELLS = 1.5
 """Signed distances are clamped to plus or minus this number of cube sides."""
@@ -106,9 +109,9 @@ class _RemovedParts:
     """The excess parts that were removed from a hull, on a regular grid of cells.
 
     Attributes:
-        hull: the hull before the removal, filled with the cells of the grid.
+        hull: the grid, and the cells that were inside the hull before the removal.
         share: float32 array with the shape of the grid. The value of a cell is the fraction, in [0, 1], of the cell's
-            neighbourhood that lies in the excess parts. The neighbourhood has Gaussian weights (SMOOTHING_CELLS).
+            neighbourhood that lies in the excess parts. The neighbourhood has Gaussian weights; see SMOOTHING_CELLS.
         surface: (3, N) centres of the cells near the parts of the surface that the removal exposed, relative to
             ``Silhouettes.origin``.
     """

@@ -17,7 +17,7 @@ angle and are not compared."""
 
 DEPTH_TOLERANCE_PX = 3.0
 """Tolerance of the visibility test. A point that lies behind the surface in a view's depth image still counts as
-visible if the depth difference is at most the length of the piece of surface that this number of pixels shows."""
+visible if the depth difference is at most the length on the surface that this number of pixels covers there."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ class FitSettings:
         laplacian: weight of :func:`fourd.mesh.surface.losses.laplacian_loss`, computed with lengths in units of the
             side length of the grid's cubes.
         normal: weight of :func:`fourd.mesh.surface.losses.normal_consistency_loss`.
-        sources: number of source views that each target view is compared with.
+        sources: number of nearby views with which the photo loss compares the view of a gradient step.
         seed: seed of the random order of the views.
     """
 

@@ -22,8 +22,8 @@ def drop_crumbs(
 
     Returns:
         the remaining vertices and triangles, in their original order, without unused vertices. The normals of a cavity
-        point into the cavity, so its signed volume is negative. Parts whose signed volume is not positive are removed,
-        unless no sufficiently large part has a positive volume.
+        point into the cavity, so its signed volume is negative. Of the parts that are large enough, only those with a
+        positive signed volume are kept. If there is none, all large enough parts are kept.
 
     Raises:
         ValueError: if ``min_share`` is outside [0, 1].

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 _KEY_BITS = 20
-"""Number of bits of each coordinate in a lattice vertex's key."""
+"""Number of bits of each coordinate in the integer key that identifies a lattice vertex (see :func:`_keys`)."""
 
 _FACE = ((0, 0), (1, 0), (1, 1), (0, 1))
 """Corners of a cube's face, in order around the face."""
@@ -116,7 +116,7 @@ def _tetrahedra_along(cubes: NDArray[np.int64], axis: int) -> NDArray[np.int64]:
 
 
 def _keys(positions: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return a unique integer key for each position (..., 3)."""
+    """Pack the three coordinates of each integer position (..., 3) into one integer, a key that identifies it."""
     x, y, z = np.moveaxis(positions, -1, 0)
     return (x << (2 * _KEY_BITS)) | (y << _KEY_BITS) | z
 
@@ -124,7 +124,7 @@ def _keys(positions: NDArray[np.int64]) -> NDArray[np.int64]:
 def _border_vertices(tetrahedra: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
     """Return a mask (V,) that is true for the vertices of faces that belong to only one tetrahedron."""
     faces = np.sort(np.concatenate([np.delete(tetrahedra, corner, axis=1) for corner in range(4)]), axis=1)
-    # In the sorted list, the two copies of a shared face are adjacent.
+    # A face that two tetrahedra share occurs twice. Sorting makes the two copies adjacent.
     order = np.lexsort(faces.T)
     ordered = faces[order]
     is_first = np.ones(len(ordered), np.bool_)

@@ -118,7 +118,7 @@ def triangle_normals(xyz: Tensor, triangles: Tensor) -> Tensor:
 
 
 def vertex_normals(xyz: Tensor, triangles: Tensor) -> Tensor:
-    """Compute the unit normals (N, 3) of the vertices, which are differentiable. A vertex normal is the area-weighted
+    """Compute the differentiable unit normals (N, 3) of the vertices. A vertex normal is the area-weighted
     mean of the adjacent triangles' normals, normalised to unit length."""
     triangles = triangles.long()
     a, b, c = (xyz[triangles[:, corner]] for corner in range(3))

@@ -18,12 +18,11 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 def antialias(
     color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, boost: float, threads: int
 ) -> tuple[Tensor, Tensor]:
-    """Return the blended colours (B, H, W, C), and a code (B, H, W) uint8 per pixel.
+    """Return the blended colours (B, H, W, C), and one code per pixel, (B, H, W) uint8, for the backward pass.
 
     ``pos`` is (B, V, 4), or (V, 4) if all images have the same vertices. A pixel forms one pair with its right
     neighbour and one with its lower neighbour. For each of the two pairs, the pixel's code stores which silhouette edge
-    passes between the pixel centres. The code is an input of the backward pass. ``csrc/antialias/maths.h`` describes
-    its bits.
+    passes between the pixel centres. ``csrc/antialias/maths.h`` describes the bits of the code.
     """
     out, codes = _empty_outputs(color)
     inputs = (color, rast, pos if pos.ndim == 3 else pos[None], tri, opposite)

@@ -24,7 +24,7 @@ class Pairs:
         other_triangle: (N,) index of the triangle that the other pixel shows, or -1 for the background.
         centre: (N, 2) centre of the owner in normalised device coordinates, first along the pair, then across it.
         step: (N, 2) distances between neighbouring pixel centres in normalised device coordinates, first along the
-            pair, then across it. The first is negative if the other pixel is left of or above the owner.
+            pair, then across it. The first distance is negative if the other pixel is left of or above the owner.
         axis: 0 for right neighbours, 1 for lower neighbours.
     """
 
@@ -88,9 +88,10 @@ def see(pairs: Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
 def line_of(pairs: Pairs, p: Tensor, q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """For each pair, return a linear function of the image position that is 0 on the edge from p to q.
 
-    The first result (N,) is the function's value at the centre of the pair's owner (the pixel whose triangle is
-    nearer). The second (N,) is its decrease per pixel from the owner towards the other pixel. The third (N,) is its
-    decrease per pixel across the pair.
+    ``p`` and ``q`` (N, 3) are the clip coordinates of the edge's ends, as :func:`see` returns them. The first result
+    (N,) is the function's value at the centre of the pair's owner (the pixel whose triangle is nearer). The second (N,)
+    is its decrease per pixel from the owner towards the other pixel. The third (N,) is its decrease per pixel across
+    the pair.
     """
     value = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
     along = pairs.step[:, 0] * (p[:, 2] * q[:, 1] - p[:, 1] * q[:, 2])
@@ -144,8 +145,10 @@ def _side(p: Tensor, q: Tensor, r: Tensor) -> Tensor:
 
 def crossing_of_edge(pairs: Pairs, clip: Tensor, tri: Tensor, edge: Tensor) -> Tensor:
     """Return the distance (N,), in pixels, from the centre of each pair's owner (the pixel whose triangle is nearer) to
-    the point where the edge with index ``edge`` (N,), 0 to 2, of the owner's triangle crosses the pair. The distance is
-    differentiable."""
+    the point where an edge of the owner's triangle crosses the pair. The distance is differentiable.
+
+    ``edge`` (N,) contains the index of this edge in the triangle, 0 to 2.
+    """
     ends = torch.tensor(EDGES, device=tri.device)[edge]
     seen = see(pairs, clip, tri.long()[pairs.triangle[:, None], ends])
     value, fall, _ = line_of(pairs, seen[:, 0], seen[:, 1])

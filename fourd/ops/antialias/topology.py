@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 NO_VERTEX = -1
-"""Marks edges without a unique opposite vertex, which belong to only one triangle or to more than two."""
+"""Marks edges that belong to only one triangle or to more than two, and thus have no unique opposite vertex."""
 
 
 @torch.no_grad()

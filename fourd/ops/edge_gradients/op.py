@@ -1,5 +1,5 @@
-"""Gradients of moving visibility edges: the operator ``torch.ops.fourd.edge_gradients``, and its use in backward
-passes.
+"""Gradients that arise because visibility edges move with the vertices: the operator
+``torch.ops.fourd.edge_gradients``, and its use in backward passes.
 
 The public API, which checks the arguments and selects the backend, is :mod:`fourd.raster.triangles.visibility_edges`.
 """
@@ -19,7 +19,7 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 def edge_gradients(
     color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, gradient: Tensor, threads: int
 ) -> Tensor:
-    """Compute the part of the gradient of ``pos`` that comes from moving visibility edges, with the shape of ``pos``.
+    """Compute the part of the gradient of ``pos`` that comes from moving visibility edges. It has the shape of ``pos``.
 
     ``pos`` is (B, V, 4), or (V, 4) if all images have the same vertices. ``gradient`` (B, H, W, C) is the gradient of
     the loss with respect to the image. The operator itself is not differentiable.

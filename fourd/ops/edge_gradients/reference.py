@@ -1,4 +1,4 @@
-"""Gradients of moving visibility edges in plain torch."""
+"""Gradients that arise because visibility edges move with the vertices, in plain torch."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class _MovingEdges(torch.autograd.Function):
     the other pixel. The argument ``crossing`` (N,) contains the distance in pixels from the owner's centre to the edge,
     for each of N such pairs, and the backward pass computes the gradient of this distance. If the edge moves away from
     the owner by dt pixels, the colour of one of the two pixels changes by ``dt * (c_owner - c_other)``, where c_owner
-    and c_other are their colours. Either of the two pixels can be the one that changes, so the gradient is the mean
-    over both cases.
+    and c_other are their colours. The gradient is the mean over two cases: the owner changes, or the other pixel
+    changes.
     """
 
     @staticmethod

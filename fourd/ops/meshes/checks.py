@@ -11,7 +11,7 @@ MAX_SIDE_PX = 2**15
 """Maximum width or height of an image. Subpixel positions in larger images would overflow the kernels' integers."""
 
 ALL_LAYERS = 2**20
-"""A limit of this many composited triangles per pixel means that all triangles are composited."""
+"""Maximum number of composited triangles per pixel that stands for no limit: all triangles are composited."""
 
 Axis = int | str
 """The size of an axis, or a letter that stands for any size."""

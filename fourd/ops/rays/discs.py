@@ -64,7 +64,7 @@ class DiscTree:
         """Composite the K nearest discs of each ray, front to back.
 
         The discs are ordered by the ray parameter t of the hit, and by index at equal t.
-        At the distance d from a disc's centre, its alpha is density * (1 - d^2 / radius^2).
+        At the distance d from a disc's centre, the disc's alpha is density * (1 - d^2 / radius^2).
 
         Args:
             colours: (N, 3) float32 colours of the discs.

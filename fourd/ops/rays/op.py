@@ -14,7 +14,7 @@ from fourd.ops.gpu import contiguous, load_gpu, uses_gpu_kernels
 from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 
 RayHits = tuple[Tensor, Tensor, Tensor, Tensor]
-"""t, u, v (R, K) float32 and triangle (R, K) int32."""
+"""The K nearest hits of each of R rays: t, u, v (R, K) float32 and triangle (R, K) int32."""
 
 
 def build_tree(xyz: Tensor, tri: Tensor, threads: int) -> tuple[Tensor, Tensor, float]:
@@ -154,7 +154,7 @@ def _setup(ctx: Any, inputs: tuple[Any, ...], output: RayHits) -> None:
 def _backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
     xyz, tri, origins, directions, t, u, v, triangle = ctx.saved_tensors
     needs_xyz, needs_origins, needs_directions = (ctx.needs_input_grad[k] for k in (3, 5, 6))
-    # The results match the arguments of trace_rays, of which only three have a gradient.
+    # The tuple has one element for each argument of trace_rays. Only three of the arguments have a gradient.
     none = [None] * 13
     if all(grad is None for grad in grads[:3]) or not (needs_xyz or needs_origins or needs_directions):
         return tuple(none)

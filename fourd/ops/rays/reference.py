@@ -86,7 +86,7 @@ def _woop(corners: Tensor, origins: Tensor, scaled: Tensor, axis: Tensor) -> tup
     for k in range(3):
         moved = [
             corners[:, k].T[each] - origins.gather(1, each[:, None]) for each in (x, y, z)
-        ]  # One (R, T) tensor for each permuted axis.
+        ]  # The coordinates (R, T) along x, y and z, permuted so that ``axis`` is z.
         planar.append((moved[0] - shear_x * moved[2], moved[1] - shear_y * moved[2]))
         depths.append(moved[2])
     (ax, ay), (bx, by), (cx, cy) = planar

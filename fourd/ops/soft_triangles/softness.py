@@ -12,7 +12,7 @@ class Softness:
     Attributes:
         barycentric: True to use a pixel's smallest barycentric coordinate as its distance from a triangle's edges,
             instead of the Euclidean distance.
-        sigma: squared width of the soft edges.
+        sigma: squared width of the soft edges, in the unit of the squared distance from the edges.
         gamma: temperature of the depth softmax.
         cutoff: a triangle is skipped at pixels where its soft coverage D is below this number, which is in (0, 0.5).
         near, far: range of camera depths, in world units.

@@ -135,8 +135,9 @@ class Numbers:
     """The numeric parameters of a style for one camera. Lengths are in pixels, colours are in [0, 1].
 
     Attributes:
-        ray: six numbers that define the ray of pixel (x, y), scaled to depth 1:
-            ``(ray[0] * x + ray[1] * y + ray[2], ray[3] * x + ray[4] * y + ray[5], 1)``.
+        ray: six numbers that define the ray through the image point (x, y), scaled to depth 1:
+            ``(ray[0] * x + ray[1] * y + ray[2], ray[3] * x + ray[4] * y + ray[5], 1)``. The centre of a pixel is at
+            ``x = column + 0.5, y = row + 0.5``.
         light: unit vector towards the light in the camera frame.
         table_alone, table_times_albedo, albedo_alone: the factors a, b and c in the formula of the colour C.
         detail_offset, detail_per_depth: o and p in the formula of the detail d, with p in 1 / world units.

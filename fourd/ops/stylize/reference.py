@@ -92,8 +92,8 @@ def remove_specks(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
 
 
 def _strongest_around(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
-    """For each pixel, return the strength (H, W) of the strongest line on the sides of the square around it with sides
-    of ``2 * reach`` pixels."""
+    """For each pixel, consider the square around it with a side length of ``2 * reach`` pixels. Return the strengths
+    (H, W) of the strongest lines on the sides of these squares."""
     padded = np.pad(lines, reach)
     side = 2 * reach + 1
     columns = sliding_window_view(padded, side, axis=0).max(-1)  # (H, W + 2 * reach)

@@ -190,8 +190,8 @@ def _threads(threads: int) -> int:
 
 
 def _pixel_rows(uv: Tensor, uv_da: Tensor | None, bias: Tensor | None) -> tuple[Tensor | None, ...]:
-    """Flatten the rows and columns of images. Return contiguous tensors (B, H' * W', channels), or (B, H' * W') for the
-    bias."""
+    """Flatten the rows and columns of the three inputs, which have one element per output pixel. Return contiguous
+    tensors (B, H' * W', channels), or (B, H' * W') for the bias."""
     return tuple(None if value is None else contiguous(value).flatten(1, 2) for value in (uv, uv_da, bias))
 
 

@@ -11,7 +11,8 @@ from torch.nn import functional
 from fourd.ops.texture.cubes import face_axes, face_of, pad_cube, project
 
 MIN_SQUARE = 1e-36
-"""A footprint is treated as a point if the square of its longer axis is below this number of squared texels."""
+"""A pixel's footprint in the texture is treated as a point if the square of its longer axis is below this number of
+squared texels."""
 
 
 def build_mips_reference(tex: Tensor, level_count: int) -> list[Tensor]:

@@ -25,7 +25,8 @@ class BakeFiles:
 
 @dataclass(frozen=True)
 class BakeSettings:
-    """Number of points composited per pixel, playback rate in frames per second, and settings for packing the scene.
+    """Number of points composited per pixel, playback rate in frames per second, and settings for packing
+    (compressing) the scene.
 
     If ``fps`` is None, the scene gets the capture's frame rate. If ``pack`` is None, the scene is not packed.
     """

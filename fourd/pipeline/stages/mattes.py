@@ -17,7 +17,7 @@ from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 
 QUALITY = DERIVED / "matte_quality.json"
-"""JSON file that measures how well the mattes agree with visual hulls, with three numbers per camera in each of a few
+"""JSON file that records how well the mattes agree with visual hulls: three numbers for each camera in each of a few
 frames; see ``fourd.carving.matte_quality.MatteQuality``."""
 
 
@@ -65,8 +65,8 @@ def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context
 
 
 def write_quality(capture: Capture, context: Context) -> None:
-    """Compare the mattes of a few frames with visual hulls, and write the results to QUALITY. A matte is logged as a
-    warning if the visual hull of the other views covers only a small fraction of it."""
+    """Compare the mattes of a few frames with visual hulls, and write the results to QUALITY. If the visual
+    hull of the other views covers only a small fraction of a matte, log a warning for this matte."""
     quality = measure_mattes(capture, track=context.track)
     if quality is None:
         return

@@ -1,4 +1,5 @@
-"""Plates: computes an image of the background without the subject for each camera, from images and mattes."""
+"""Plates: for each camera, computes an image of the background without the subject, from the camera's images and
+mattes."""
 
 from __future__ import annotations
 

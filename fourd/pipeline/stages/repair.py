@@ -1,8 +1,8 @@
 """Repair: corrects a calibration with large residuals (distances of feature matches from their epipolar lines). A
 correction is used only if it reduces the residuals of held-out matches.
 
-The given capture is not changed. The corrected capture is a new folder with links to its files and with corrected
-calibration files.
+The given capture is not changed. The corrected capture is a new folder with corrected calibration files and with links
+to the other files of the given capture.
 """
 
 from __future__ import annotations

@@ -86,7 +86,8 @@ def train_run(folder: Path, lpips_weights: Path | None, config: TrainConfig, con
 
 
 def _training_device(context: Context) -> torch.device:
-    """Choose the device that trains. The choice is logged, unless there is no GPU."""
+    """Choose the device that trains. If it is a GPU, log its name. If "auto" selects the CPU although
+    torch finds a GPU, log the reason."""
     device = choose_device(context.device)
     if device.type == "cuda":
         context.log(f"device: training on {torch.cuda.get_device_name(device)}")

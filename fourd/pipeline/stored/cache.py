@@ -38,7 +38,7 @@ OWN = ".stored"
 @dataclass(frozen=True)
 class Started:
     """The mark of a stage that was started on this machine: the stage's key, its field ``leftovers``, and the states of
-    all files before the start."""
+    all files before the start. A file's state is a text that changes with the file; see :meth:`Cache.states`."""
 
     key: str
     before: Mapping[str, str]
@@ -228,7 +228,8 @@ class Cache:
             self._mark(name).unlink(missing_ok=True)
 
     def _remove_old(self, name: str, wanted: Set[str]) -> None:
-        """Remove files of an older manifest, and files of an execution that did not finish on this machine."""
+        """Remove the files in the recorded manifest of the stage ``name``, except those in ``wanted``. If the stage did
+        not finish on this machine, also remove the files that it left."""
         started = self.started(name)
         for leftovers in started.leftovers if started is not None else ():
             leftovers.remove()

@@ -15,8 +15,8 @@ from fourd.training.run_layout import CONFIG_NAME
 
 VERSION = 1
 LINKED = ("capture", "repaired", "still")
-"""The only folders in which a manifest may list symbolic links. Stages write files into the other folders, so links in
-these folders are refused."""
+"""The only folders in which a manifest may list symbolic links. Stages write files into all other folders, where a link
+could redirect the written files, so links there are refused."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class Manifest:
     Attributes:
         name: name of the stage.
         key: key of the stage; see :meth:`fourd.pipeline.stage.Stage.key`.
-        attempt: name of the folder with the objects. Each execution of the stage has its own folder, so that objects
-            never change.
+        attempt: name of the folder in the object store to which the files were uploaded. Each execution of the stage
+            has its own folder, so that objects never change.
         files: maps the path of each file, relative to the folder for intermediate results, to its size and time.
         links: maps the path of each symbolic link to its target, as an absolute path or relative to the folder for
             intermediate results.

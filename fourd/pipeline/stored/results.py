@@ -49,8 +49,8 @@ class StoredResults:
         return fetch_source(self._source, self.root, self._context.track)
 
     def is_finished(self, stage: AnyStage, key: str) -> bool:
-        """Return True if the results of ``stage`` for the key ``key`` are complete. Call this method for the stages in
-        the order in which they run."""
+        """Return True if the results of ``stage`` for the key ``key`` are complete. Call this method for all stages, in
+        the order in which they run, because it also records the stage and this order."""
         self._stages[stage.name], self._keys[stage.name] = stage, key
         manifest = self._manifests.get(stage.name)
         outside = [path for path in stage.outputs if not path.is_relative_to(self.root)]

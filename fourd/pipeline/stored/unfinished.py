@@ -54,7 +54,7 @@ class Unfinished:
             if manifest is None or manifest.key != self.key:
                 return None
             self.cache.copy(self.store, [manifest], track)
-            # From now on, the files belong to the stage, which changes and removes them.
+            # The files are no longer recorded as copies of the upload, because the stage changes and removes them.
             self.cache.forget(manifest.name)
         except UserError as error:
             log(f"{self.name}: starts from the beginning, because the last upload cannot be copied: {error}")

@@ -133,16 +133,16 @@ def _prepare(
         for leftovers in stage.leftovers:
             leftovers.remove()
     if not stage.is_parallel:
-        # Files that were made with other settings are removed, because a stage that is not parallel may read whole
-        # folders.
+        # A stage that is not parallel may read whole folders, so files that were made with other settings are removed
+        # from them.
         cache.remove_others({stage.name, *(need.name for need in needs)})
     if isinstance(files.source, FetchSettings):
         fetch_source(files.source, cache.root, track)
     cache.copy(files.store, needs, track)
     if started is None:
         # Files in ``before`` are not published if the stage leaves them unchanged. The stage's own files must always be
-        # published, so they are excluded: the files of its earlier executions on this machine, and the files that it
-        # uploaded when it ran on another machine.
+        # published, so ``before`` excludes them: the files of its earlier executions on this machine, and the files
+        # that it uploaded when it ran on another machine.
         uploaded = unfinished.fetch(context.log, track) if unfinished is not None else None
         own |= set(uploaded.states()) if uploaded is not None else set()
         before = {path: state for path, state in cache.states(folders).items() if path not in own}

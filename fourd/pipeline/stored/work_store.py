@@ -1,5 +1,5 @@
-"""A folder for intermediate results in an object store: the manifests of stages, and the files of each execution of a
-stage.
+"""A folder in an object store for the intermediate results of ``fourd make``. For each stage of the pipeline, it has
+the files that the stage has written, and a manifest, which lists these files.
 
 ``work.json`` marks the folder, ``units/STAGE.json`` is the manifest of a stage, and ``units/STAGE/ATTEMPT/`` has the
 files of one execution, where ATTEMPT is a random name. Because each execution writes to a folder of its own and never
@@ -80,7 +80,7 @@ class WorkStore:
         execution.
 
         Args:
-            manifest: the manifest. Its ``attempt`` must be new; see :func:`new_attempt`.
+            manifest: the manifest. Its ``attempt`` must be a new name from :func:`new_attempt`.
             files: maps the path of each file in the manifest to the local file to upload.
             track: reports progress.
         """
@@ -91,7 +91,8 @@ class WorkStore:
             self._remove([_object(before, path) for path in before.files])
 
     def download(self, manifest: Manifest, files: Mapping[str, Path], track: Track = untracked) -> None:
-        """Copy objects of a stage. ``files`` maps the path of each file in the manifest to the path of its copy."""
+        """Copy files of a stage to the local disk. ``files`` maps the path of each file in the manifest to the path of
+        its copy."""
         url = self.url.join(_folder(manifest.name, manifest.attempt))
         for _ in track(download(url, files), len(files), f"copying the results of {manifest.name}"):
             pass

@@ -19,10 +19,10 @@ class Bvh:
     Use :meth:`build` to create a tree. Trees are immutable, so :meth:`refit` and :meth:`update` return new ones.
 
     Attributes:
-        xyz: (V, 3) float32 vertex positions for which the tree was built or refitted, detached.
+        xyz: (V, 3) float32 detached copy of the vertex positions for which the tree was built or refitted.
         triangles: (T, 3) int32 vertex indices.
-        nodes: (N, 64) float32; each row has the bytes of one tree node.
-        blocks: (B, 80) float32; each row has the bytes of one block of up to eight triangles.
+        nodes: (N, 64) float32; each row has the 256 raw bytes of one tree node, a C++ struct.
+        blocks: (B, 80) float32; each row has the 320 raw bytes of one block of up to eight triangles.
         magnitude: largest absolute coordinate of the triangles, in world units.
         cost_when_built: value of :attr:`cost` when the tree was built.
     """

@@ -53,7 +53,8 @@ def splat_along_rays(
     Let b_k be the barycentric coordinate of vertex k at the hit, P the triangle's perimeter, l_k the length of the edge
     opposite to vertex k, and a_k = b_k * P / l_k. The window function is min(a_0, a_1, a_2)^sigma, which is 1 at the
     incentre and 0 at the edges. The triangle's alpha is min(0.99, opacity * window). Triangles with an alpha of at
-    least 1/255 are composited in ascending order of t (at equal t, of index) until the transmittance is at most 1e-4.
+    least 1/255 are composited in ascending order of the ray parameter t of their hits, until the transmittance is at
+    most 1e-4. At equal t, the triangle with the smaller index comes first.
 
     Edge lengths and barycentric coordinates are those of the triangle projected to the image of ``camera``, or those of
     the triangle in 3D if ``camera`` is None. If ``camera`` is given, rays through its pixel centres give the image of

@@ -86,7 +86,7 @@ def _check(params: Tensor, epsilon: float | Tensor, samples: int) -> None:
 
 
 def _check_ids(ids: Tensor, loss: Tensor, count: int) -> Tensor:
-    """Check the result of ``ids``, and return it as (P, K) int64."""
+    """Check the result of ``ids``, and return it as (P, K) int64 for P pixels and K primitives per pixel."""
     if ids.dtype.is_floating_point or ids.dtype == torch.bool:
         raise TypeError(f"ids: expected integers, got {str(ids.dtype).removeprefix('torch.')}")
     if ids.shape[: loss.ndim] != loss.shape or ids.ndim > loss.ndim + 1:

@@ -40,9 +40,9 @@ def interpolate(
 
     Returns:
         The values ``out`` (B, H, W, C), and for D channels in ``diff_attrs`` the derivatives ``out_da``
-        (B, H, W, 2 * D) with respect to the pixel position along columns (X) and rows (Y). Their order is d0/dX, d0/dY,
-        d1/dX, d1/dY and so on, where 0 and 1 are the first two channels in ``diff_attrs``. Pixels that show no
-        triangle, or a triangle with index T or more, have the value 0.
+        (B, H, W, 2 * D) with respect to the pixel position (X, Y), where X increases with the column, and Y with the
+        row. Their order is d0/dX, d0/dY, d1/dX, d1/dY and so on, where 0 and 1 are the first two channels in
+        ``diff_attrs``. Pixels that show no triangle, or a triangle with index T or more, have the value 0.
 
         ``out`` is differentiable in ``attr`` and in u and v of ``rast``, and ``out_da`` in ``attr`` and ``rast_db``.
         Second derivatives are not supported. On the CPU, gradients are bit-identical for any number of threads.

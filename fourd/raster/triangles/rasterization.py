@@ -39,8 +39,8 @@ def rasterize(
         pos: float32 clip coordinates: (B, V, 4) with one mesh per image, or (V, 4) if ``ranges`` is given.
         tri: (T, 3) int32 vertex indices, which all images share.
         resolution: (H, W) in pixels, each from 1 to 32768.
-        ranges: (B, 2) int32, on any device. Row b has the index of the first triangle of image b, and the number of its
-            triangles.
+        ranges: (B, 2) int32, on any device. Row b has the index of the first triangle of image b, and the number of
+            triangles of image b.
         grad_db: whether the gradient with respect to ``pos`` includes the gradient through ``rast_db``.
         output_db: whether to compute ``rast_db``. If False, ``rast_db`` has the shape (B, H, W, 0).
         backend: "cpu" or "cuda" for the kernels, "reference" for an implementation in plain torch (float32 or float64,
@@ -53,8 +53,9 @@ def rasterize(
         triangle index. u, v and 1 - u - v are the perspective-correct barycentric coordinates of the triangle's
         vertices 0, 1 and 2, with u and v clamped to the triangle. The encoded index is 0 if there is no triangle, and
         the triangle's index + 1 otherwise. Decode indices of 2^24 and above with
-        :func:`fourd.ops.meshes.ids.decode_ids`. The channels of ``rast_db`` are du/dX, du/dY, dv/dX and dv/dY, where X
-        and Y are the pixel positions along columns and rows. Pixels without a triangle have the value 0.
+        :func:`fourd.ops.meshes.ids.decode_ids`. The channels of ``rast_db`` are du/dX, du/dY, dv/dX and dv/dY, where
+        (X, Y) is the pixel position: X increases with the column, and Y with the row. Pixels without a triangle have
+        the value 0.
 
         u, v and ``rast_db`` are differentiable in ``pos``; z/w and the index have no gradient. Second derivatives are
         not supported. The gradient is 0 in pixels where clamping changes u or v. On a GPU, its last bits can differ

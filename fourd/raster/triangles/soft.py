@@ -55,7 +55,7 @@ def rasterize_soft(
         camera: a pinhole camera without lens distortion.
         sigma: softness of the edges, positive, in the units of d_ij squared.
         gamma: temperature of the softmax over depths, positive.
-        layers: number of nearest triangles per pixel, or None for all. At equal depth, the smaller index is nearer.
+        layers: number of nearest triangles per pixel, or None for all. Equal depths are ordered by triangle index.
         distance: "euclidean": d_ij is the distance from the nearest edge, in units of half of the image's shorter side.
             "barycentric": d_ij is the smallest barycentric coordinate.
         cutoff: triangles are skipped at pixels where D_ij is below this number, which is in (0, 0.5).

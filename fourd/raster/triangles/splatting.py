@@ -31,8 +31,8 @@ class TriangleRender:
         depth: (H, W) weighted mean of the camera depths of the composited triangles' centres in world units, 0 where
             ``alpha`` is 0. A triangle's weight is its alpha times the transmittance in front of it. None if
             ``geometry`` is False.
-        normal: (H, W, 3) sum of the composited triangles' unit normals, with the weights of ``depth``. The normals are
-            in world coordinates and point towards the camera. None if ``geometry`` is False.
+        normal: (H, W, 3) sum of the composited triangles' unit normals, each multiplied by the same weight as for
+            ``depth``. The normals are in world coordinates and point towards the camera. None if ``geometry`` is False.
         weight: (T,) maximum compositing weight of each triangle over all pixels, not differentiable, 0 for invisible
             triangles.
     """
@@ -66,7 +66,8 @@ def splat_triangles(
     is min(0.99, opacity * I(p)).
 
     At each pixel, the triangles with an alpha of at least 1/255 are composited in ascending order of their centres'
-    camera depths (at equal depth, of index). Compositing stops when the pixel's transmittance is at most 1e-4.
+    camera depths. At equal depth, the triangle with the smaller index comes first. Compositing stops when the pixel's
+    transmittance is at most 1e-4.
 
     The results are differentiable in ``xyz``, ``features``, ``opacity`` and ``sigma``. The backward pass treats the
     selection and the order of triangles as constant. On the CPU, results and gradients are bit-identical for any number

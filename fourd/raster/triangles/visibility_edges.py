@@ -31,8 +31,8 @@ def edge_gradients(
     below 45 degrees are ignored.
 
     Let c_1 and c_2 be the colours of the two pixels. If the edge moves by dt pixels from the first pixel towards the
-    second, one of the two pixels changes by dt * (c_1 - c_2). Either pixel can be the one that changes, so the gradient
-    is the mean over both cases.
+    second, the pixel that contains the edge changes by dt * (c_1 - c_2). The edge can be in either of the two pixels,
+    so the gradient is the mean of the gradients for these two cases.
 
     The result is differentiable in ``color`` and ``pos``. The gradient of ``color`` is the gradient of the result,
     unchanged. Silhouette edges give gradients of x, y and w of ``pos``, and intersections also give gradients of z. The

@@ -26,7 +26,8 @@ WAIT = timedelta(days=7)
 hull. If a rank fails, the others do not wait for it, because torchrun ends all ranks."""
 
 RATE_EXPONENT = 0.5
-"""The learning rates of dense parameters are multiplied by the number of ranks to the power of this exponent."""
+"""The learning rates of dense parameters (all parameters except those of points) are multiplied by the number of ranks
+to the power of this exponent."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class ProcessGroup:
 
     @property
     def is_first(self) -> bool:
-        """True for rank 0, which writes logs and checkpoints."""
+        """True for rank 0, which writes the logs and all parts of a checkpoint except the points of other ranks."""
         return self.rank == 0
 
     def own_frames(self, frames: int) -> range:
@@ -62,13 +63,13 @@ class ProcessGroup:
         return range(self.rank, frames, self.size)
 
     def first_ranks_frame(self, frame: int) -> int:
-        """Return the largest index of a frame that rank 0 owns among the indices up to ``frame``, inclusive."""
+        """Return the index of the last frame that rank 0 owns in the range from 0 to ``frame``, inclusive."""
         return frame - frame % self.size
 
     @property
     def rate_factor(self) -> float:
-        """Factor that multiplies the learning rates of dense parameters. It compensates for the smaller number of
-        updates, because the views of all ranks together give only one update."""
+        """Factor that multiplies the learning rates of dense parameters. With several ranks, the views of all ranks
+        together give only one update, and the factor compensates for the smaller number of updates."""
         return self.size**RATE_EXPONENT
 
     @torch.no_grad()

@@ -30,7 +30,8 @@ Mask = NDArray[np.bool_]
 def covisible_masks(
     renderer: ModelRenderer, evaluated: dict[int, Camera], layers: int, track: Track = untracked
 ) -> dict[int, Mask]:
-    """Compute, for each evaluated camera, the mask (H, W) of the pixels whose background is visible in a training view.
+    """Compute, for each evaluated camera, the mask (H, W) of the pixels at which the surface of the static background
+    is visible in a training view.
 
     Args:
         renderer: the renderer of a full scene.
@@ -75,8 +76,8 @@ def visible_in_any(camera: Camera, depth: Depth, cameras: Sequence[Camera], dept
 def covisible_psnr(
     picture: NDArray[np.float32], truth: NDArray[np.float32], matte: NDArray[np.uint8], covisible: Mask
 ) -> float | None:
-    """Compute the PSNR in dB over the pixels whose background is visible in a training view and the pixels of the
-    subject.
+    """Compute the PSNR in dB over two groups of pixels: those of the subject, and those of background surfaces that are
+    visible in a training view.
 
     Args:
         picture: (H, W, 3) rendered colours in [0, 1].

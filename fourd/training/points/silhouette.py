@@ -18,8 +18,8 @@ def revert_moves_out_of_silhouettes(
 ) -> None:
     """Undo each move that took a point out of the silhouette in at least one view.
 
-    In this view, the point must be inside the silhouette before the move, and outside the silhouette but still inside
-    the image after the move.
+    A move takes a point out of the silhouette in a view if the point is inside the silhouette before the move, and
+    outside the silhouette but still inside the image after the move.
 
     Args:
         points: the points of a frame. Their positions are changed in place.

@@ -25,7 +25,7 @@ class SegmentFrame:
     """A frame of a run, and one segment that contains it.
 
     Attributes:
-        trained: the segment.
+        trained: the segment, which is itself a run, with its models and points.
         frame: index of the frame in the segment.
         share: fraction of its points that the segment contributes to the frame, in (0, 1]. The shares of all segments
             of a frame sum to 1.

@@ -48,7 +48,7 @@ class Refused(Exception):
 
 @dataclass(frozen=True)
 class _Answers:
-    """The most recently computed answers, and the time at which they were computed."""
+    """The last answers to requests for the run's state and curves, and the time at which they were computed."""
 
     active: ActiveRun
     status: bytes
@@ -167,8 +167,8 @@ class RunSite:
             is_busy = find_active(self.run).phase == "training"
             self._next_bake = time.monotonic() + (used / core_count() / BAKING_SHARE if is_busy else 0.0)
         finally:
-            # _next_bake is set before this is reset. In the opposite order, a request that arrives between the two
-            # steps would report that the next baking has already started.
+            # _is_baking is reset only after _next_bake has been set. In the opposite order, a call of scene() between
+            # the two assignments could see the old _next_bake, and would report that baking has started again.
             self._is_baking = False
 
     def _current(self) -> _Answers:

@@ -4,7 +4,7 @@ uniform float ray[6];  // The first two rows of the inverse intrinsic matrix.
 uniform sampler2D closed_depth;
 uniform sampler2D closed_normal;
 uniform int line_filter;  // 0 for none, 1 for Sobel, 2 for the cross filter.
-uniform int thickness;    // Number of pixels between the taps of the filter.
+uniform int thickness;    // Distance, in pixels, between adjacent taps of the filter.
 uniform float depth_threshold;
 uniform float normal_threshold;
 uniform highp usampler2D line_state;  // The state of the previous image, in the layout of csrc/stylize/stylize.h.
@@ -69,8 +69,8 @@ float cross_lines(ivec2 pixel, vec3 normal, float coverage, float scale) {
         ivec2 side = axis == 0 ? ivec2(0, 1) : ivec2(1, 0);
         vec2 first = tap(pixel, -side, normal), second = tap(pixel, side, normal);
         int at = axis == 0 ? pixel.y : pixel.x, count = axis == 0 ? size.y : size.x;
-        // The second difference is left out at the border, where it would look like a bend in the surface, because taps
-        // outside the image repeat the border.
+        // A tap outside the image repeats a pixel of the border. A second difference with such a tap would look like a
+        // bend in the surface, so the second difference is left out near the border.
         if (at >= thickness && at < count - thickness) bend += abs(first.x + second.x - 2.0 * depth);
         most = max(most, max(first.x, second.x));
         flatness *= 1.0 - ramp(coverage - first.y, normal_threshold * scale);

@@ -9,7 +9,7 @@ uniform vec3 line_colour;
 
 out vec4 picture;
 
-// Minimum strength, from 0 to 255, at which a line counts as continuing through a pixel.
+// A line on the border of a square (reaches_square) counts only if its strength, from 0 to 255, is at least this value.
 const uint LEAST_STRENGTH = 32u;
 
 // Returns the strength, from 0 to 255, of the line at a pixel. There are no lines outside the image.
