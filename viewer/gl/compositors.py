@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 import moderngl
+from OpenGL import GL
 
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.discs import Discs
@@ -48,6 +49,7 @@ class OverBackground:
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._pass = FullScreenPass(context, "over_background.frag")
+        self._pixel_filter = PixelFilter(context)
 
     def run(
         self,
@@ -59,7 +61,7 @@ class OverBackground:
     ) -> None:
         """Draw ``image`` into ``target`` as :meth:`Compositor.draw` does. The framebuffer ``target`` stays bound.
 
-        Outside ``region``, the image is empty, so images are filtered only inside.
+        Outside ``region``, the image is empty, so pictures are drawn only inside.
         """
         if not is_picture:
             self.copy(image, target)
@@ -73,54 +75,95 @@ class OverBackground:
         target.use()
         width, height = request.camera.width, request.camera.height
         target.viewport = (region.left, height - region.bottom, *size)
-        uniforms = {"background": background, "pixel_filter": request.manifest.pixel_filter}
-        self._pass.run({"image": image}, is_picture=True, **uniforms)
+        self._pass.run({"image": image}, is_picture=True, background=background)
         target.viewport = (0, 0, width, height)
+        self._pixel_filter.run(request, target, region)
 
     def copy(self, image: moderngl.Texture, target: moderngl.Framebuffer) -> None:
         """Copy ``image`` into ``target`` without a background or a filter. The framebuffer ``target`` stays bound."""
         target.use()
         disable_blending(self._context)
-        self._pass.run({"image": image}, is_picture=False, background=(0.0, 0.0, 0.0), pixel_filter=0.0)
+        self._pass.run({"image": image}, is_picture=False, background=(0.0, 0.0, 0.0))
 
     def release(self) -> None:
         """Free all GL objects."""
+        self._pass.release()
+        self._pixel_filter.release()
+
+
+class PixelFilter:
+    """Applies the scene's pixel filter to a picture."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._pass = FullScreenPass(context, "pixel_filter.frag")
+        self._unfiltered: moderngl.Texture | None = None
+
+    def run(self, request: RenderRequest, target: moderngl.Framebuffer, region: ImageRegion) -> None:
+        """Filter the upright picture in ``target``, which has one texture. The framebuffer ``target`` stays bound.
+
+        Outside ``region``, the picture has one colour, so the picture is filtered only inside.
+        """
+        size = (region.right - region.left, region.bottom - region.top)
+        if request.manifest.pixel_filter == 0 or min(size) <= 0:
+            return
+        width, height = target.size
+        lower = height - region.bottom
+        # Drivers copy pixels between textures of one format faster than a pass draws them.
+        unfiltered = self._texture_like(target)
+        left, right = max(region.left - 1, 0), min(region.right + 1, width)  # The filter reads the neighbours, too.
+        bottom, top = max(lower - 1, 0), min(height - region.top + 1, height)
+        target.use()
+        unfiltered.use(0)
+        GL.glCopyTexSubImage2D(GL.GL_TEXTURE_2D, 0, left, bottom, left, bottom, right - left, top - bottom)
+        disable_blending(self._context)
+        target.viewport = (region.left, lower, *size)
+        self._pass.run({"image": unfiltered}, pixel_filter=request.manifest.pixel_filter)
+        target.viewport = (0, 0, width, height)
+
+    def _texture_like(self, target: moderngl.Framebuffer) -> moderngl.Texture:
+        """Return a texture with the size and the format of the texture of ``target``."""
+        picture = target.color_attachments[0]
+        assert isinstance(picture, moderngl.Texture)
+        kept = self._unfiltered
+        if kept is None or (kept.size, kept.dtype) != (picture.size, picture.dtype):
+            self._release_texture()
+            self._unfiltered = kept = self._context.texture(picture.size, picture.components, dtype=picture.dtype)
+            kept.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        return kept
+
+    def _release_texture(self) -> None:
+        if self._unfiltered is not None:
+            self._unfiltered.release()
+            self._unfiltered = None
+
+    def release(self) -> None:
+        """Free all GL objects."""
+        self._release_texture()
         self._pass.release()
 
 
 class SortedBlending:
     """Blends all discs in one pass, from the farthest to the nearest. The request's maximum number of layers K is
-    ignored.
-
-    If the scene has a pixel filter, a second pass filters the image.
-    """
+    ignored."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self.discs = Discs(context, {"blend": "sorted.frag"}, farthest_first=True)
-        self._targets = RenderTargets(context, {"image": (4, "f1")})
-        self._over_background = OverBackground(context)
+        self._pixel_filter = PixelFilter(context)
 
     def draw(self, request: RenderRequest, target: moderngl.Framebuffer, is_picture: bool = True) -> None:
         """See :meth:`Compositor.draw`."""
-        if request.manifest.pixel_filter == 0 or not is_picture:
-            background = request.settings.background if is_picture else (0.0, 0.0, 0.0)
-            target.clear(color=(*background, 0.0))
-            blend_over(self._context)
-            self.discs.draw("blend", target, upright=True)
-            return
-        self._targets.resize((request.camera.width, request.camera.height))
-        region = self.discs.region
-        # The filter also reads the pixels next to the region.
-        size = (region.right - region.left + 2, region.bottom - region.top + 2)
-        self._targets.framebuffer(["image"]).clear(viewport=(region.left - 1, region.top - 1, *size))
+        background = request.settings.background if is_picture else (0.0, 0.0, 0.0)
+        target.clear(color=(*background, 0.0))
         blend_over(self._context)
-        self.discs.draw("blend", self._targets.framebuffer(["image"]))
-        self._over_background.run(self._targets.texture("image"), request, target, is_picture, self.discs.region)
+        self.discs.draw("blend", target, upright=True)
+        if is_picture:
+            self._pixel_filter.run(request, target, self.discs.region)
 
     def release(self) -> None:
         """Free all GL objects."""
-        for item in (self._over_background, self._targets, self.discs):
+        for item in (self._pixel_filter, self.discs):
             item.release()
 
 

@@ -26,6 +26,7 @@ from fourd.viewer.gl.context import driver_info
 from fourd.viewer.gl.frame_textures import Precision
 from fourd.viewer.gl.passes import release_framebuffer
 from fourd.viewer.rendering.renderers import RENDERERS, Renderer, RendererName, make_renderer
+from fourd.viewer.shader_files import read_shader
 from tests.baking.scenes import manifest, random_frame, ring
 from tests.viewer.gl import contexts, render
 from tests.viewer.scenes import shell_frame
@@ -97,6 +98,33 @@ def test_shell_matches_reference(name: RendererName, index: int, make, context: 
     """Catches a flipped image, a wrong falloff, swapped source views or SH terms, and a missing background."""
     request = make_request(shell_frame(3000, seed=index), small_camera(index))
     require_parity(name, render(make(name), request, context), reference(request))
+
+
+@pytest.mark.parametrize("name", ["sorted", "peel", "dual"])
+@pytest.mark.parametrize("size", [(97, 63), (64, 48), (3, 2), (1, 1)])
+@pytest.mark.parametrize("has_derivatives", [True, False])
+def test_the_filter_is_applied_to_the_unfiltered_picture(
+    name: RendererName,
+    size: tuple[int, int],
+    has_derivatives: bool,
+    make,
+    context: moderngl.Context,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Catches swapped neighbours in quads of fragments, a wrong border, and pixels outside the filtered region."""
+    if not has_derivatives:
+        monkeypatch.setattr(
+            "fourd.viewer.gl.shaders.read_shader",
+            lambda file: read_shader(file).replace("GL_ARB_derivative_control", "GL_ARB_none"),
+        )
+    renderer = make(name)
+    for index, distance in ((0, 0.0), (1, 4.0)):
+        camera = small_camera(index, *size)
+        far = replace(camera, translation=camera.translation + np.array([0.1, -0.1, distance]))
+        request = make_request(random_frame(3000, 6, seed=index), far)
+        plain = render(renderer, replace(request, manifest=replace(request.manifest, pixel_filter=0.0)), context)
+        expected = filter_pixels_reference(plain[..., :3].copy(), request.manifest.pixel_filter)
+        np.testing.assert_allclose(render(renderer, request, context)[..., :3], expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", EXACT)
