@@ -1,7 +1,7 @@
 """Calibration boards: ChArUco boards and chessboards, their files, their corners and their patterns.
 
 Board coordinates are in metres. The origin is the board's lower left corner. As seen from the front, x points right
-along the columns, y points up along the rows, and z points from the board towards the viewer.
+(from column to column), y points up (from row to row), and z points from the board towards the viewer.
 """
 
 from __future__ import annotations

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FADE_MARGIN = 1.25
-"""A source view's weight decreases with the angle between its camera and the viewing camera. If no further camera
-determines the angle at which the weight reaches 0, this angle is FADE_MARGIN times the largest angle of the views; see
-:func:`fading_weights`.
+"""The weight of a source view decreases with the angle between its camera and the viewing camera, and reaches 0 at a
+limit angle. Usually, the limit angle is the angle of a camera that is not chosen as a source view. If there is no such
+camera, the limit angle is FADE_MARGIN times the largest angle of the chosen cameras; see :func:`fading_weights`.
 """
 
 

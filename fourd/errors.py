@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 MAX_REASON = 200
-"""Maximum number of characters of another program's error message that an error message quotes."""
+"""Maximum number of characters that an error message quotes from the message of another program."""
 
 
 class UserError(Exception):

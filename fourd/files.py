@@ -119,7 +119,8 @@ def remove_unfinished_file(target: Path | str) -> None:
     """
     target = Path(target)
     stem, suffix = glob.escape(target.stem), glob.escape(target.suffix)
-    # A temporary file can itself be written atomically. The second pattern finds the temporary file that this needs.
+    # A temporary file can itself be written atomically, which needs another temporary file. The second pattern finds
+    # this other file.
     patterns = (f"{UNFINISHED}{stem}-????????{suffix}", f"{UNFINISHED}{UNFINISHED}{stem}-????????-????????{suffix}")
     for path in [path for pattern in patterns for path in target.parent.glob(pattern)]:
         try:

@@ -27,7 +27,7 @@ RATE_SECONDS = 60.0
 RATE_ITEMS = 20
 """Minimum number of items in the time window over which the rate of finished items is measured."""
 MIN_LOGGED_SECONDS = 2.0
-"""Minimum duration, in seconds, of work whose end is reported with a line of text."""
+"""If the output is not a terminal, a line of text reports the end of work that took at least this number of seconds."""
 
 
 class Track(Protocol):

@@ -48,7 +48,7 @@ class Arguments:
     update: bool = False
     """Store the current counts as the accepted counts, instead of comparing."""
     build: Path = ROOT / "build" / "count"
-    """Folder in which the program `workload` is built. It runs one kernel on test data."""
+    """Folder in which the program `workload` is built. This program runs one kernel on test data."""
 
 
 def main(arguments: Arguments) -> int:
@@ -90,8 +90,8 @@ def build(folder: Path) -> tuple[str, Path]:
 
 
 def count(program: Path, words: list[str]) -> int:
-    """Return the number of instructions in one repetition of a workload, the kernel call that the arguments ``words``
-    describe. The program's setup is not counted."""
+    """Return the number of instructions in one repetition of a workload. The workload is the kernel call that the
+    arguments ``words`` describe. The program's setup is not counted."""
     once, thrice = (count_process([str(program), *words, str(repeats), "1", "avx2"]) for repeats in (1, 3))
     return (thrice - once) // 2
 

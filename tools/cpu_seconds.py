@@ -1,4 +1,4 @@
-"""Run a fourd command on one thread, and apply its time limits to the CPU time of its process.
+"""Run a fourd command on one thread. The command's time limits then apply to CPU time instead of elapsed time.
 
 This makes the results almost independent of other programs on the machine.
 

@@ -107,7 +107,7 @@ def row(name: str, out: Path) -> str:
 
 
 def render_test_views(run: Path) -> list[NDArray[np.uint8]]:
-    """Render the middle frame from a run's held-out cameras. Return BGR images."""
+    """Render the middle frame of a run from its held-out cameras. Return BGR images."""
     trained = load_run(run)
     capture, frame = trained.run.capture, trained.run.capture.frame_count // 2
     layers = trained.run.config.train.layers
@@ -119,7 +119,7 @@ def render_test_views(run: Path) -> list[NDArray[np.uint8]]:
 
 
 def test_pictures(run: Path) -> list[NDArray[np.uint8]]:
-    """Return the middle frame of a run's held-out cameras as BGR images."""
+    """Return the captured images (BGR) of the middle frame from a run's held-out cameras."""
     opened = load_run(run).run
     frame = opened.capture.frame_count // 2
     return [_tile(opened.capture.image(camera, frame)[..., ::-1]) for camera in opened.test]

@@ -48,7 +48,7 @@ def main() -> None:
 
 
 def back_and_forth(count: int, length: int) -> list[int]:
-    """Return ``length`` frame indices, which run through ``count`` frames alternately forwards and backwards."""
+    """Return a list of ``length`` indices, which run through ``count`` frames alternately forwards and backwards."""
     period = max(1, 2 * (count - 1))
     return [min(place % period, period - place % period) for place in range(length)]
 

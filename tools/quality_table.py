@@ -42,7 +42,7 @@ class Arguments:
     """The runs, and the quantities to measure in addition to the scores."""
 
     runs: tyro.conf.Positional[list[Path]]
-    """Run folders, trained with --test-views."""
+    """Folders of runs that were trained with --test-views."""
     frames: int = 6
     """Number of frames to measure, spread evenly over the run's frames, or 0 for all frames."""
     orbit: int = 0

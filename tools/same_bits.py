@@ -7,8 +7,8 @@
 The program runs the commands of one installation on synthetic captures in a temporary folder. First, it makes mattes,
 clean plates (images of the empty scene) and visual hulls. Then it trains, exports, renders and evaluates an object
 scene (only the foreground), a full scene (with the background) and a scene with camera refinement. Finally, it runs
-`fourd make`. This takes about six minutes on two cores. Compare only digests from the same machine, because the bits
-depend on the CPU's instruction set.
+`fourd make`. The whole program takes about six minutes on two cores. Compare only digests from the same machine,
+because the bits depend on the CPU's instruction set.
 """
 
 from __future__ import annotations

@@ -49,7 +49,8 @@ class Headless:
         """Write an MP4 of the scene along a camera path.
 
         ``path`` is "orbit", "spiral", "cameras" or a path file that was recorded in the window. A recorded path also
-        contains the frame of each image. On the other paths, the scene plays in a loop. Returns the number of images.
+        contains the index of the scene's frame that each image shows. On the other paths, the scene plays in a loop.
+        Returns the number of images.
         """
         scene = LoadedScene(self.source, open_frame_source(self.source))
         try:

@@ -33,8 +33,8 @@ class LoadedScene:
         self.path = path
         self.manifest: SceneManifest = source.manifest
         self._run = source if isinstance(source, RunSource) else None
-        # A run's frames are baked on demand, which slows training. To bake few frames in advance, the buffer of a run
-        # is as small as possible.
+        # A run's frames are baked on demand, which slows training. The buffer of a run is therefore as small as
+        # possible, so that only few frames are baked before they are shown.
         self.frames = FramePrefetcher(source, 0 if self._run else BUFFER_BYTES)
         self.up = estimate_up(self.manifest.cameras) if self.manifest.cameras else np.array([0.0, 0.0, 1.0])
         self.has_normals = "normals" in self.manifest.optional_attributes

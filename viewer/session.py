@@ -231,8 +231,8 @@ class Session:
     def _camera(self, pose: Pose, size: tuple[int, int]) -> Camera:
         """Return the camera of a pose.
 
-        While the pose and the size do not change, this is the same object, so that renderers can reuse their depth
-        order.
+        While the pose and the size do not change, each call returns the same object, so that renderers can reuse their
+        depth order.
         """
         if self._last_camera is None or self._last_camera[0] is not pose or self._last_camera[1] != size:
             self._last_camera = (pose, size, pose.camera(*size))
@@ -241,7 +241,7 @@ class Session:
     def _scale_points(self, frame: BakedFrame) -> BakedFrame:
         """Return the frame with radii and densities scaled by the settings.
 
-        While the frame and the scales do not change, this is the same object.
+        While the frame and the scales do not change, each call returns the same object.
         """
         scales = (self.settings.point_scale, self.settings.density_scale)
         if self._scaled is not None:

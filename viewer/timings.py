@@ -31,8 +31,8 @@ class Timings:
             self._current[part] += 1e3 * (time.perf_counter() - started)
 
     def move(self, source: str, target: str, seconds: float) -> None:
-        """Count up to ``seconds`` of the current image as time of the part ``target`` instead of the part ``source``.
-        The time of ``source`` does not become negative."""
+        """In the times of the current image, subtract ``seconds`` from the part ``source`` and add them to the part
+        ``target``. If ``source`` has less time than this, move only the time that it has."""
         moved = min(1e3 * seconds, self._current[source])
         self._current[source] -= moved
         self._current[target] += moved
@@ -53,8 +53,8 @@ class Timings:
     def medians(self) -> dict[str, float]:
         """Return the median time of each part in milliseconds.
 
-        The median of a part ignores images in which it did not run. For example, "draw" does not run for an unchanged
-        scene.
+        Images in which a part did not run do not count for its median. For example, "draw" does not run for an
+        unchanged scene.
         """
         nonzero = [column[column > 0] for column in self._history.T]
         return {

@@ -82,8 +82,8 @@ class WindowRenderer:
         self._drawn = request
 
     def draw_exact(self) -> NDArray[np.uint8] | None:
-        """Draw the last request in its own depth order, not in that of an earlier request. Return the image, (H, W, 3)
-        uint8, or None before the first request."""
+        """Draw the last request in its own depth order, not in that of an earlier request. Return the image as a
+        uint8 array (H, W, 3), or None before the first request."""
         if self._drawn is None:
             return None
         self.renderer.draw(self._drawn, self._canvas, wait=True)

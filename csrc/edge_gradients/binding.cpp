@@ -1,4 +1,5 @@
-// Python binding of the gradients of visibility edges; fourd/ops/edge_gradients/op.py documents the operation.
+// Python binding that computes the gradients of moving visibility edges; fourd/ops/edge_gradients/op.py documents the
+// operation.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 

@@ -42,8 +42,8 @@ inline Rules parse_rules(const std::string& text) {
     return out;
 }
 
-// Parses all lines `Sizes: ...` of a docstring. The result has at least one element; without such a line, it has no
-// rules.
+// Parses all lines `Sizes: ...` of a docstring. The result has one element for each of these lines. Without such a
+// line, the result has one element without rules.
 inline std::vector<Rules> rules_of(const std::string& docstring) {
     constexpr const char* kStart = "Sizes:";
     std::vector<Rules> out;

@@ -19,7 +19,7 @@ struct Image {
 // Writes the filtered image to `out` (height, width, 4), which must not overlap image.rgba. `side` is in [0, 0.25].
 void filter_pixels(const Image& image, float side, int threads, Simd simd, std::uint8_t* out);
 
-// A rectangle of pixels: the columns from `left` to before `right` of the rows from `top` to before `bottom`.
+// A rectangle of pixels: the pixels with left <= column < right and top <= row < bottom.
 struct Region {
     int left, top, right, bottom;
 };

@@ -25,8 +25,8 @@ struct Query {
 void sample(const Query& query, float* out);
 
 // Computes the gradients of sample(). `gradient` (count, plane_count * features) is the gradient of the loss with
-// respect to the output of sample(). The function overwrites grad_planes, which has one array for each plane, in the
-// shape of the plane's values, and grad_coordinates (count, 4), which may be null.
+// respect to the output of sample(). The function overwrites grad_coordinates (count, 4), which may be null, and the
+// arrays grad_planes[k], each of which has the shape of the values of plane k.
 void sample_backward(const Query& query, const float* gradient, float* const* grad_planes, float* grad_coordinates);
 
 }  // namespace fourd::planes

@@ -1,5 +1,5 @@
-// Draws baked frames and sorts their points by depth, from float16 arrays. Player and DepthSorter keep their memory for
-// the next image. Callers check shapes, and arrays are dense and row-major.
+// Draws baked frames, whose arrays are mostly float16, and sorts their points by depth. Player and DepthSorter keep
+// their memory for the next image. Callers check shapes, and arrays are dense and row-major.
 #pragma once
 
 #include <cstddef>
@@ -36,7 +36,8 @@ class EmptyTiles {
   private:
     points::Surface surface_{};
     int width_ = 0, height_ = 0;
-    // Whether the arrays of the surface hold the last image, which was drawn with the same size and background.
+    // Whether the new image is drawn over the last image: the arrays, the size and the background are the same, and
+    // Surface::persistence is above 0.
     bool is_kept_ = false;
     std::vector<std::uint8_t> empty_;
 };

@@ -9,10 +9,11 @@
 
 namespace fourd::points {
 
-// front_weight(cosine) is the weight of a point in the mean depth and normal of the visible surface. `cosine` is the
-// cosine of the angle between the point's normal and the direction to the camera. Points on the far side of the subject
-// show through where the near side has gaps or was not seen by any camera. Because their normals face away from the
-// camera, they get a small weight and matter only where no other points are visible.
+// The depth and the normal of the visible surface at a pixel are weighted means over points. The weight of a point is
+// multiplied by front_weight(cosine), where `cosine` is the cosine of the angle between the point's normal and the
+// direction to the camera. Points on the far side of the subject show through where the near side has gaps or was not
+// seen by any camera. Because their normals face away from the camera, they get a small weight and matter only where no
+// other points are visible.
 constexpr float kBackWeight = 0.1f;
 
 FOURD_INLINE float front_weight(float cosine) {

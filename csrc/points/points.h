@@ -41,7 +41,7 @@ struct Canvas {
     float background[3];  // Each channel is in [0, 1].
 };
 
-// An 8-bit image with the visible surface of each pixel.
+// An 8-bit image, and the depth and the normal of the surface that is visible at each pixel.
 struct Surface {
     Canvas canvas;  // If the background is black, the colours are premultiplied by alpha.
     // Shape (height, width): coverage / depth. The coverage is clamp(3 * A - 1/2, 0, 1), where A is the alpha of the

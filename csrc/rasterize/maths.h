@@ -138,9 +138,9 @@ struct Edge {
     std::int32_t x, y;
 };
 
-// Returns the edge function from vertex k to the next vertex, with its value at the pixel (column, row). Values are
-// divided by 256 and rounded down. Before the division, the values at any two pixels differ by a multiple of 256, so
-// the slopes are exact, and rounding down keeps the sign at every pixel.
+// Returns the function of the edge from vertex k to the next vertex, with its value at the pixel (column, row). Values
+// are divided by 256 and rounded down. Before the division, the values at any two pixels differ by a multiple of 256,
+// so the slopes are still exact after the division. Rounding down does not change which values are negative.
 FOURD_HD static inline Edge edge_of(const Piece& piece, int k, int column, int row) {
     const int next = k == 2 ? 0 : k + 1;
     const std::int32_t dx = piece.x[next] - piece.x[k], dy = piece.y[next] - piece.y[k];
@@ -167,9 +167,9 @@ FOURD_HD static inline double device_coordinate(int pixel, int side) {
 //     scale * u / w, scale * v / w, scale / w and z / w.
 // Here u and v are the barycentric weights of vertices 0 and 1, and z and w are interpolated clip coordinates. `scale`
 // is the largest |w| of the vertices, so scaling all clip coordinates by a common factor does not change the functions.
-// The value of a function at a pixel is (c + y * dy) + x * dx. Here c is the value at the reference pixel, which each
-// triangle has (set_reference in clipping.h), x and y are the slopes, and (dx, dy) is the vector from the reference
-// pixel to the pixel.
+// The value of a function at a pixel is (c + y * dy) + x * dx. Here c is the value at the triangle's reference pixel
+// (set_reference in clipping.h), x and y are the slopes, and (dx, dy) is the vector from the reference pixel to the
+// pixel.
 struct Planes {
     double scale;
     float c[kPlanes], x[kPlanes], y[kPlanes];

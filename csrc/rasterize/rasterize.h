@@ -39,8 +39,8 @@ struct Query {
 void rasterize(const Query& query, const float* previous, float* rast, float* rast_db);
 
 // Overwrites grad_pos with the gradient of the loss with respect to pos. grad_rast and grad_db (images, height, width,
-// 4) are the gradients of the loss with respect to rast and rast_db. grad_db may be null. The gradient with respect to
-// z/w is ignored.
+// 4) are the gradients of the loss with respect to rast and rast_db. grad_db may be null. Of grad_rast, only the
+// gradients with respect to u and v are used. Those with respect to z/w and the triangle id are ignored.
 void rasterize_backward(const Query& query, const float* rast, const float* grad_rast, const float* grad_db,
                         float* grad_pos);
 

@@ -74,7 +74,7 @@ struct NearestDiscs {
         return found == layers && t[found - 1] < last ? t[found - 1] : last;
     }
 
-    // Composites the discs front to back. Writes the colour multiplied by alpha, and alpha, to `rgba`.
+    // Composites the discs front to back. Writes the premultiplied colour, followed by alpha, to `rgba`.
     FOURD_HD FOURD_INLINE void composite(const float* colours, float* rgba) const {
         float transmittance = 1.0f;
         for (int c = 0; c < 3; ++c) rgba[c] = 0.0f;

@@ -40,7 +40,8 @@ struct Mesh {
     const std::int32_t* tri;  // Shape (triangles, 3). A triangle with a vertex that does not exist is never hit.
     std::size_t triangles;
 
-    // Writes the three vertices of a triangle. Returns false if the triangle or one of its vertices does not exist.
+    // Writes the three vertex indices of a triangle to `corners`. Returns false if the triangle or one of its vertices
+    // does not exist.
     FOURD_HD FOURD_INLINE bool find(std::int32_t triangle, std::size_t* corners) const {
         if (triangle < 0 || static_cast<std::size_t>(triangle) >= triangles) return false;
         for (std::size_t k = 0; k < 3; ++k) {

@@ -29,7 +29,7 @@ namespace fourd::splat_triangles {
 constexpr float kMaxAlpha = 0.99f;            // Alpha is clamped to this value, so farther triangles keep a gradient.
 constexpr float kInverseMinAlpha = 255.0f;    // A triangle is skipped at pixels where its alpha is below 1 / 255.
 constexpr float kMinTransmittance = 1e-4f;    // Compositing of a pixel ends at or below this transmittance.
-// A triangle is skipped at pixels where min_k a_k is below this value, because so small values are mostly rounding
+// A triangle is skipped at pixels where min_k a_k is below this value, because such small values are mostly rounding
 // errors.
 constexpr float kSmallestWindow = 1e-7f;
 constexpr float kLn2 = 0.693147181f;

@@ -1,4 +1,5 @@
-// Random meshes and rasterizations for antialiasing and for gradients of edges. Some indices are out of range.
+// Random meshes and rasterizations for antialiasing, and for the gradients of moving visibility edges
+// (edge_gradients/edge_gradients.h). Some indices are out of range.
 #pragma once
 
 #include <cstdint>

@@ -1,6 +1,6 @@
 // Runs the emulated CUDA kernels on small random and invalid inputs, in sanitizer builds. The sanitizers detect
 // accesses out of bounds, and the emulator detects diverging lanes. The program also checks that results are finite,
-// even if some points are invalid or the workspace has space for few entries.
+// even if some points are invalid or the workspace has space for only a few entries.
 #include <cstdio>
 #include <cstdlib>
 #include <vector>

@@ -8,7 +8,7 @@
 namespace fourd::tiles {
 
 // `corners` (count, 9) has the gradients of the three corners of each triangle, and `tri` (count, 3) has the vertex
-// indices. Sets each row of `xyz` (vertices, 3) to the sum of the gradients of the corners at this vertex, added in the
+// indices. Sets row v of `xyz` (vertices, 3) to the sum of the gradients of all corners at vertex v, added in the
 // order of the triangles.
 inline void add_corners(const float* corners, const std::int32_t* tri, std::size_t count, float* xyz,
                         std::size_t vertices) {

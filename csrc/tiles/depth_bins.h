@@ -51,8 +51,9 @@ class DepthBins {
     std::size_t bytes() const;  // Size of the memory that is kept between images.
 
   private:
-    // A span of consecutive items, which one thread processes in a pass of the radix sort or when entries are counted
-    // and written. Spans are merged in order, so the result does not depend on the number of spans.
+    // A span of consecutive items. The passes of the radix sort, and the functions that count and write entries, divide
+    // the items into one span per thread. Spans are merged in order, so the result does not depend on the number of
+    // spans.
     struct Run {
         std::size_t begin, end;
     };

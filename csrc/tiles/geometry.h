@@ -1,4 +1,4 @@
-// Cameras, and the tiles and blocks of an image, which all compositors share.
+// Code that all compositors share: cameras, and the tiles and blocks of an image.
 //
 // All functions are static, because they are compiled once per instruction set (common/dispatch.h), and the linker
 // would otherwise keep only one of the compiled copies.

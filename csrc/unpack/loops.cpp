@@ -91,8 +91,8 @@ void harmonics(const Harmonics& from, std::uint16_t* out) {
 }
 
 // Adds step * level to one channel of a colour, where the level is a signed byte. If the step is 1, sums wrap around
-// modulo 256, so that one byte can represent every difference of two channel values. If it is larger, sums are clamped
-// to [0, 255].
+// modulo 256, so that one byte can represent every difference of two channel values. If the step is larger, sums are
+// clamped to [0, 255].
 FOURD_INLINE std::uint8_t add_level(std::uint8_t mean, std::uint8_t level, int step) {
     const int sum = mean + step * static_cast<std::int8_t>(level);
     const int clamped = sum < 0 ? 0 : (sum > 255 ? 255 : sum);

@@ -71,8 +71,8 @@ def _smooth(grid: DirectionGrid, known: Bools, rgb: Array) -> Array:
 
 
 def _shrink(means: Array, measured: Bools) -> Array:
-    """Average the sectors' means (heights, sectors, 3) over the measured sectors (heights, sectors), and multiply the
-    result (heights, 3) by the positive-part James-Stein factor."""
+    """Average the sectors' means (heights, sectors, 3) over the sectors for which the mask ``measured`` (heights,
+    sectors) is true, and multiply the result (heights, 3) by the positive-part James-Stein factor."""
     count = measured.sum(axis=1)
     weight = (measured / np.maximum(count, 1)[:, None])[..., None]
     mean = (weight * means).sum(axis=1)

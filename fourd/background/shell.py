@@ -1,5 +1,5 @@
-"""The background's shell: points in the directions that no clean plate shows, which would otherwise be empty in
-rendered views.
+"""The background's shell: points that fill the directions that no clean plate shows. Without the shell, rendered views
+would be empty in these directions.
 
 Directions are divided into cells. A known cell contains background points that were computed from the plates.
 """

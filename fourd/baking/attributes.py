@@ -1,8 +1,8 @@
 """The table of the arrays that a baked frame consists of. It is used by the manifest, the scene reader and writer, the
 combination of frames and the upload to OpenGL.
 
-To add an attribute, add a row to :data:`ATTRIBUTES` with ``is_optional=True`` and a field of the same name to
-:class:`fourd.baking.scene.BakedFrame`, and compute the attribute in :mod:`fourd.baking.bake`. Scenes without the new
+A new attribute needs three changes: a row with ``is_optional=True`` in :data:`ATTRIBUTES`, a field of the same name in
+:class:`fourd.baking.scene.BakedFrame`, and code in :mod:`fourd.baking.bake` that computes it. Scenes without the new
 attribute stay readable, and older programs skip it.
 """
 
@@ -103,7 +103,7 @@ ATTRIBUTES = (
     Attribute("rgb", "|u1", ("points", "views", 3), values="any", combine="cast_shadow"),
     Attribute("normals", "|u1", ("points", 2), values="any", is_optional=True),
 )
-"""All attributes, in the order of the files inside a scene's ZIP archive, and of the native kernels' arguments."""
+"""All attributes. The files inside a scene's ZIP archive and the native kernels' arguments have the same order."""
 
 
 def _valid_halves(bits: NDArray[np.uint16], values: Values) -> bool:
@@ -116,6 +116,6 @@ def _valid_halves(bits: NDArray[np.uint16], values: Values) -> bool:
         bits = bits & np.uint16(0x7FFF)
     if int(bits.max()) <= limit:
         return True
-    # A bit pattern above ``limit`` is a value that is too large, infinity or NaN (0x7C00 or more), or a negative value
-    # (0x8000 or more). The only valid one is the value -0, with the bit pattern 0x8000.
+    # Bit patterns above ``limit`` belong to values that are too large, to infinity or NaN (from 0x7C00), or to negative
+    # values (from 0x8000). Of all these, only -0, with the bit pattern 0x8000, is valid.
     return int(np.where(bits == 0x8000, np.uint16(0), bits).max()) <= limit

@@ -31,7 +31,7 @@ MAX_POINTS = 1 << 26
 MAX_VIEWS = 4096
 MAX_SIDE = 1 << 16
 MAX_PIXELS = 1 << 25
-"""Maximum number of pixels of a camera, which is enough for 8K (7680 x 4320)."""
+"""Maximum number of pixels of a camera's image. An 8K image (7680 x 4320) is below this limit."""
 KINDS: tuple[SceneKind, ...] = ("object", "full")
 
 

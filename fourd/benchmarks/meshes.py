@@ -47,8 +47,8 @@ def project(xyz: Tensor, side: int) -> Tensor:
 
 
 def rasterizing(count: int, side: int, backward: bool) -> Work:
-    """Return a function that rasterizes about ``count`` triangles with screen-space derivatives or, if ``backward``,
-    only computes the gradients with respect to the positions."""
+    """Return a function that rasterizes about ``count`` triangles with screen-space derivatives. If ``backward`` is
+    true, the function only runs the backward pass, which computes the gradients with respect to the positions."""
     xyz, tri = make_mesh(count)
     pos = project(xyz, side)
     if not backward:
@@ -60,8 +60,8 @@ def rasterizing(count: int, side: int, backward: bool) -> Work:
 
 
 def interpolating(count: int, side: int, backward: bool) -> Work:
-    """Return a function that interpolates three channels or, if ``backward``, only computes the gradients with respect
-    to the attributes and the barycentric weights."""
+    """Return a function that interpolates three channels. If ``backward`` is true, the function only runs the backward
+    pass, which computes the gradients with respect to the attributes and the barycentric weights."""
     xyz, tri = make_mesh(count)
     rast, _ = rasterize(project(xyz, side), tri, (side, side))
     if not backward:

@@ -49,7 +49,8 @@ def markdown(rows: Iterable[Row], machine: Machine) -> str:
 
 
 def to_json(rows: Iterable[Row], machine: Machine) -> str:
-    """Format the rows as JSON: milliseconds, units (see :class:`Timing`) and number of runs of every case and rival."""
+    """Format the rows as JSON: for every case and rival, the time in milliseconds, the time as a multiple of the unit
+    (see :class:`Timing`), and the number of runs."""
     content = {"format": "fourd-bench", "version": FORMAT_VERSION, "machine": asdict(machine)}
     return json.dumps({**content, "rows": [asdict(row) for row in rows]}, indent=1) + "\n"
 

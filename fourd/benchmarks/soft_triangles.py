@@ -37,8 +37,8 @@ def make_soup(count: int) -> dict[str, Tensor]:
 
 
 def splatting(count: int, side: int, backward: bool) -> Work:
-    """Return a function that splats ``count`` triangles without depths and normals (``geometry=False``) or, if
-    ``backward``, only computes the gradients."""
+    """Return a function that splats ``count`` triangles without depths and normals (``geometry=False``). If
+    ``backward`` is true, the function only runs the backward pass, which computes the gradients."""
     soup, camera = make_soup(count), make_camera(side, side)
     if not backward:
         return lambda: splat_triangles(**soup, camera=camera, geometry=False)  # type: ignore[arg-type]

@@ -42,8 +42,8 @@ def make_textured_plane(side: int) -> dict[str, Tensor]:
 
 
 def trilinear_texture(side: int, backward: bool) -> Work:
-    """Return a function that builds the mip levels of a texture and samples it or, if ``backward``, only computes the
-    gradients with respect to all arguments."""
+    """Return a function that builds the mip levels of a texture and samples it. If ``backward`` is true, the function
+    only runs the backward pass, which computes the gradients with respect to all arguments."""
     arguments = make_textured_plane(side)
     if not backward:
         return lambda: texture(**arguments)  # type: ignore[arg-type]

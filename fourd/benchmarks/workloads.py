@@ -87,8 +87,8 @@ def make_planes(side: int = 64, levels: int = 4, features: int = 8, frames: int 
     """Make six K-Planes per level. Returns the planes (rows, columns, features), and a flat list with the two axes of
     each plane.
 
-    A spatial axis has ``side`` samples at the first level and twice as many at each further level. The time axis always
-    has ``frames`` samples.
+    A spatial axis has ``side`` samples at the first level, and twice as many at each level as at the previous one. The
+    time axis has ``frames`` samples at every level.
     """
     generator = torch.Generator().manual_seed(SEED)
     pairs = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))

@@ -74,7 +74,8 @@ def calibrate_rig(source: Path, out: Path, settings: CalibrationSettings, *, log
     """Calibrate the cameras of ``source`` and write intri.yml, extri.yml, report.json and rig.png into ``out``.
 
     Args:
-        source: folder with a video or a folder of images per camera. All cameras record the same moving board.
+        source: folder that contains, for each camera, a video or a folder of images. All cameras record the same
+            moving board.
         out: a new folder, an empty folder, or the folder of an earlier calibration, which is replaced completely.
         settings: the user's settings.
         log: called with one line per result or choice.

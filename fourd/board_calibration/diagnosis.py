@@ -155,8 +155,8 @@ def _fit_size(board: CalibrationBoard, name: str, images: Sequence[MarkerImage])
     """Find the numbers of columns and rows, and whether the pattern is the legacy pattern, from the positions of the
     markers.
 
-    If the values of ``board`` agree with the markers, they are returned. Returns None if no values agree with most of
-    the markers. The other markers may be false detections.
+    The values of ``board`` are returned if at least 90% of the markers agree with them. Not all markers need to agree,
+    because some may be false detections. Returns None if no values agree with more than half of the markers.
     """
     total = sum(len(each.ids) for each in images)
     sizes = [(board.columns, board.rows, board.legacy_pattern)]
@@ -242,8 +242,8 @@ def _contains(name: str, other: str, largest: int) -> bool:
 
 
 def _suggest_chessboard(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None:
-    """Search the images for a chessboard. Returns its numbers of columns and rows, as keys and values for the board's
-    file."""
+    """Search the images for a chessboard that differs from ``board``. Returns the keys and values that describe it, to
+    be written into the file of ``board``, or None if no such chessboard is found."""
     for picture in pictures:
         zoom = min(1.0, MAX_PX / max(picture.shape))
         reduced = np.asarray(cv2.resize(picture, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_AREA), np.uint8)

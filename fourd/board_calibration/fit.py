@@ -55,7 +55,7 @@ MIN_POSE_VIEWS = 3
 MIN_FITTED_VIEWS = 8
 """A frame is held out only if each camera that sees the board in it keeps at least this number of views in the fit."""
 MIN_FITTED_PAIRS = 4
-"""A frame is held out only if each pair of its cameras keeps at least this number of shared frames in the fit."""
+"""A frame is held out only if any two cameras that see the board in it share at least this number of fitted frames."""
 SCALES_PX = (10.0, 1.0, 0.5)
 """Scales, in pixels, of the Huber loss in the successive adjustments."""
 MEDIAN_PER_STD = 1.177

@@ -22,7 +22,7 @@ PAGES_MM = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "a2": (420.0, 594.0), "l
 MARGIN_MM = 5.0
 """Smallest margin of the page. Most printers cannot print closer to the edge of the paper."""
 NOTE_MM = 8.0
-"""Height of the strip below the board, which contains a note that describes the board, and a ruler."""
+"""Height of the strip below the board. The strip contains a ruler and a note that describes the board."""
 RULER_MM = 100.0
 
 

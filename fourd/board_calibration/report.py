@@ -28,7 +28,7 @@ MAX_FOCAL_STD = 0.005
 MAX_CENTRE_STD_DEGREES = 0.3
 """Maximum standard deviation of the viewing direction without a warning.
 
-This standard deviation is computed as that of the principal point divided by the focal length.
+It is computed as the standard deviation of the principal point divided by the focal length, and converted to degrees.
 """
 MAX_ROTATION_STD_DEGREES = 0.2
 FEW_SHARED_FRAMES = 10

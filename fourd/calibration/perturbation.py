@@ -21,7 +21,7 @@ class PoseError:
 
 
 def pose_errors(truth: Mapping[str, Camera], cameras: Mapping[str, Camera]) -> dict[str, PoseError]:
-    """Compute each camera's pose error by name, after aligning ``cameras`` to ``truth`` by a similarity transform."""
+    """Align ``cameras`` to ``truth`` by a similarity transform, and return the pose errors, keyed by camera name."""
     aligned = align_cameras(cameras, {name: truth[name] for name in cameras})
     return {name: _error(truth[name], aligned[name]) for name in cameras}
 

@@ -24,8 +24,8 @@ Picture = NDArray[np.uint8]
 HALF_PATCH = 24
 MIN_CORRELATION = 0.75
 MIN_LEAD = 0.12
-"""Minimum difference between the highest correlation in the search region, the peak, and the highest correlation at
-positions more than 8 pixels away from the peak."""
+"""Minimum difference between the peak, which is the highest correlation in the search region, and the highest
+correlation at positions more than 8 pixels away from the peak."""
 MIN_DROP = 0.03
 """Minimum decrease of the correlation from its peak to each of the eight positions at offsets of 3 pixels along x, y or
 both axes.
@@ -83,9 +83,9 @@ def match_on_plane(
         search_radius: largest displacement between the two rectified images that is searched, in raster pixels.
 
     Returns:
-        The matches, in pixels of the distorted images. Corner features are detected in the first rectified image. A
-        corner feature is matched if the normalized cross-correlation of the patch around it with the second rectified
-        image has one distinct peak.
+        The matches, in pixels of the distorted images. Corner features are detected in the first rectified image. The
+        window around each feature is compared with the second rectified image by normalized cross-correlation. The
+        feature is matched if the correlation has one distinct peak.
     """
     (raster, valid), (other, other_valid) = (
         _rectify(picture, camera, patch) for picture, camera in zip((first, second), cameras, strict=True)

@@ -25,8 +25,9 @@ MAX_PAIR_PX = 30.0
 """Upper limit, in pixels, to which the residual of a camera pair is clamped. A larger residual means that the pair's
 matches are wrong, so it does not show which principal points are correct."""
 MIN_GAIN = 2.0
-"""Mirroring principal points must reduce the mean residual of the camera pairs by at least this multiple of the typical
-residual. The typical residual is the median of the pairs' residuals with the chosen principal points."""
+"""A choice of mirrored principal points is clear only if mirroring reduces the mean residual of the camera pairs by at
+least this multiple of the typical residual. The typical residual is the median of the pairs' residuals with the chosen
+principal points."""
 MIN_LEAD = 0.5
 """Minimum difference between the mean residuals of the second best and the best combination of the cameras' principal
 points, as a multiple of the typical residual (see MIN_GAIN)."""
@@ -34,7 +35,7 @@ points, as a multiple of the typical residual (see MIN_GAIN)."""
 
 @dataclass(frozen=True, eq=False)
 class MirrorChoice:
-    """The combination of mirrored principal points with the smallest residual.
+    """The combination of the cameras' principal points, each as given or mirrored, with the smallest residual.
 
     Attributes:
         names: choice for each camera, either "as given", "mirrored x", "mirrored y" or "mirrored both".
@@ -50,9 +51,9 @@ class MirrorChoice:
         chosen_score: the same values as ``given_score``, but with the chosen combination.
         is_clear: whether the evidence is clear. Let r be the median, over the camera pairs, of their median residuals
             with the chosen combination. Clear evidence requires that r is at most 3, and that ``next_px`` exceeds
-            ``chosen_px`` by at least 0.5 * r. If a principal point is mirrored, ``given_px`` must also exceed
-            ``chosen_px`` by at least 2 * r. Differences are compared instead of ratios, because a camera pair with
-            wrong matches increases all means by the same amount.
+            ``chosen_px`` by at least 0.5 * r. If the chosen combination mirrors any principal point, ``given_px`` must
+            also exceed ``chosen_px`` by at least 2 * r. Differences are compared instead of ratios, because a camera
+            pair with wrong matches increases all means by the same amount.
     """
 
     names: tuple[str, ...]
@@ -86,10 +87,10 @@ def principal_point_hypotheses(camera: Camera) -> dict[str, Camera]:
 
 
 def choose_principal_points(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> MirrorChoice:
-    """Choose the combination of mirrored principal points with the smallest epipolar residual.
+    """Choose, for each camera, the given or a mirrored principal point, such that the epipolar residual is smallest.
 
-    The images must show the same field of view as the images of the calibration. They may have another size, but they
-    must not be cropped off-centre, because such a crop moves the image centre.
+    The matched images must show the same field of view as the images from which the cameras were calibrated. They may
+    have another size, but they must not be cropped off-centre, because such a crop moves the image centre.
 
     Args:
         matches: matches of each camera pair, in pixels of the distorted images.

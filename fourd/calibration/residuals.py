@@ -126,7 +126,7 @@ def select_pairs(cameras: Sequence[Camera]) -> list[Pair]:
 
 
 def compute_residuals(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> Residuals:
-    """Compute the epipolar residuals of matches in pixels of the distorted images."""
+    """Compute the epipolar residuals of ``matches``, whose positions are in pixels of the distorted images."""
     counts = {pair: len(found) for pair, found in matches.items()}
     pairs = {
         (i, j): float(np.median(np.abs(epipolar_distances(found, cameras[i], cameras[j]))))
@@ -197,8 +197,8 @@ def _camera_residuals(
 ) -> tuple[float | None, ...]:
     """Fit the residuals r_i >= 0 of the cameras to the residuals r_ij of the pairs: r_ij^2 = r_i^2 + r_j^2.
 
-    The fit minimises the sum of ``min(n, 100) * |r_i^2 + r_j^2 - r_ij^2|`` over the pairs, where n is the pair's number
-    of matches, by iteratively reweighted least squares.
+    By iteratively reweighted least squares, the fit minimises the sum of ``min(n, 100) * |r_i^2 + r_j^2 - r_ij^2|``
+    over the pairs, where n is the pair's number of matches.
     """
     if not pairs:
         return (None,) * cameras

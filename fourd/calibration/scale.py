@@ -85,9 +85,10 @@ def scale_cameras(cameras: Mapping[str, Camera], distance: Distance) -> dict[str
 def align_cameras(cameras: Mapping[str, Camera], poses: Mapping[str, Camera]) -> dict[str, Camera]:
     """Transform all cameras into the world in which some of them have the given ``poses``.
 
-    One given pose determines the rotation and the translation, but not the scale. Two or more given poses also
-    determine the scale. If several poses are given, each of them determines a rotation, and the mean of these rotations
-    is used. The scale and the translation are then a least-squares fit of the camera centres.
+    The transformation is a similarity. One given pose determines its rotation and translation, but not its scale, which
+    is then 1. Two or more given poses also determine the scale. If several poses are given, each of them determines a
+    rotation of the world, and the mean of these rotations is used. The scale and the translation are then a
+    least-squares fit of the camera centres.
 
     Raises:
         UserError: if no name in ``poses`` is a name in ``cameras``.

@@ -26,7 +26,7 @@ class CameraFrames(Protocol):
         """
 
     def describe(self, frame: int) -> str:
-        """Describe the frame for error messages by its file and, in a video, its frame number."""
+        """Return the words that name the frame in error messages: its file and, in a video, also its frame number."""
 
     def close(self) -> None:
         """Close open files; the next read opens them again."""

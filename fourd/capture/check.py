@@ -84,8 +84,8 @@ def check_capture(path: Path | str, *, deep: bool = False, track: Track = untrac
 
     Args:
         path: the capture's folder.
-        deep: whether to decode all images and mattes. If False, the check decodes only some mattes, and checks only the
-            names and sizes of all other files.
+        deep: whether to decode all images and mattes. If False, the check decodes only some mattes. Of the other images
+            and mattes, it checks only the file names, and the image sizes in the file headers.
         track: progress callback.
     """
     path = Path(path)

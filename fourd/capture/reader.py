@@ -159,7 +159,7 @@ class Capture:
         """Return the undistorted RGB image (H, W, 3) uint8 of a camera and frame; the array is read-only.
 
         Raises:
-            UserError: if the file is damaged or its size differs from the image size of the camera.
+            UserError: if the file is damaged, or the stored image does not have the camera's image size.
         """
         frames = self._footage[camera].images
         return self._cache.get(("image", camera, frame), lambda: self._read(frames, camera, frame))
@@ -168,8 +168,8 @@ class Capture:
         """Return the undistorted matte (H, W) uint8 of a camera and frame; 255 is the object. The array is read-only.
 
         Raises:
-            UserError: if there are no mattes, the file is damaged, or its size differs from the image size of the
-                camera.
+            UserError: if there are no mattes, the file is damaged, or the stored matte does not have the camera's
+                image size.
         """
         mattes = self._footage[camera].mattes
         if mattes is None:
@@ -368,7 +368,7 @@ def _to_camera(path: Path, name: str, calibration: Calibration, size: tuple[int,
 
 
 def undistortion_maps(camera: Camera) -> NDArray[np.float32]:
-    """Return the position (x, y) of each pixel of the undistorted image in the distorted image, as an array (2, H, W).
+    """Return, for each pixel of the undistorted image, its position (x, y) in the distorted image: an array (2, H, W).
 
     The positions follow OpenCV's convention: the centre of the first pixel has the coordinate 0. In fourd, this centre
     has the coordinate 0.5, so the principal point is shifted by half a pixel.

@@ -132,9 +132,9 @@ def index_video(path: Path, parser: ParserProcess | None = None) -> VideoIndex:
         parser: the child process to use, or None to start one.
 
     Raises:
-        UserError: if the file is not a video, is truncated, or has fewer than 2 frames or frames without times.
-            UserError is also raised if the metadata mirrors the frames, or turns them by an angle that is not a
-            multiple of 90 degrees.
+        UserError: if the file is not a video, is truncated, or has fewer than 2 frames with presentation times.
+            UserError is also raised if several frames have the same time, or if the metadata mirrors the frames or
+            turns them by an angle that is not a multiple of 90 degrees.
     """
     if not path.is_file():
         raise UserError(f"{path}: expected a video, got no such file; copy the video again")
@@ -287,8 +287,8 @@ class VideoReader:
             self._seek(keyframe)
         found = self._decode_until(number)
         if found is None:
-            # The seek missed the requested frame: it went past the frame, or the frame is stored after a keyframe that
-            # is displayed later than the frame. In both cases, decode from the start of the video.
+            # The seek missed the requested frame: it went too far, or the frame is a leading frame, which is stored
+            # after a keyframe but displayed before it. In both cases, decode from the start of the video.
             self._seek(0)
             found = self._decode_until(number)
         if found is None:
@@ -366,7 +366,7 @@ def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fra
     jitter = np.abs(pts - pts[0] - np.arange(len(pts)) * float(step))
     if jitter.max() <= MAX_JITTER * float(step) or jitter.max() <= 1:
         return _rounded_rate(path, 1 / (step * base)), True
-    # Fit a line to the times as a function of the frame numbers (least squares). The numbers include dropped frames.
+    # Fit a line to the times as a function of the frame numbers (least squares). Dropped frames are numbered, too.
     numbers = np.cumsum([0, *np.maximum(np.rint(steps / np.median(steps)), 1)])
     (interval, _), covariance = np.polyfit(numbers, pts - pts[0], 1, cov=True)
     # The tolerance for standard rates is 3 times the standard error of the interval, which grows with the jitter.

@@ -177,8 +177,8 @@ def common_rate(videos: Mapping[str, Video]) -> Fraction | None:
     """Return the frame rate of the capture in 1/s, or None if there is no video.
 
     Raises:
-        UserError: if a video that is not on a common clock (its ``fps`` is None) has another frame rate than the other
-            videos.
+        UserError: if a video is not on a common clock (:attr:`Video.fps` is None), and its own frame rate differs from
+            the lowest frame rate of all videos.
     """
     fps = min((video.rate for video in videos.values()), default=None)
     for video in videos.values():

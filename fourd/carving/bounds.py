@@ -195,10 +195,10 @@ def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | Non
 def removed_shares(views: Silhouettes, half: float) -> list[float]:
     """Compute, for each view, how large a fraction in [0, 1] the view removes from the hull of all other views.
 
-    The agreement is the fraction of the views that must contain a point of the hull. The hull of the other views is
-    computed with an agreement of 1. If this hull is empty, the agreement is lowered in steps, to 0.5 at the lowest,
-    until the hull is not empty. The search cube is centred on the origin of ``views``, and ``half`` is half the cube's
-    side in world units.
+    A point belongs to a hull if it is inside the silhouettes of a large enough fraction of the views that see it. This
+    fraction is the agreement. The hull of the other views is computed with an agreement of 1. If this hull is empty,
+    the agreement is lowered in steps, to 0.5 at the lowest, until the hull is not empty. The search cube is centred on
+    the origin of ``views``, and ``half`` is half the cube's side in world units.
     """
     shares = []
     for index, view in enumerate(views.views):

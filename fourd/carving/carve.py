@@ -67,8 +67,8 @@ def carve_frame(
             all views and by at least 3 views. If there are only 2 views, both must see it.
         trim: whether to remove protruding parts of the hull; see :mod:`fourd.carving.excess`. The remaining hull still
             covers all silhouettes.
-        inset: distance by which points are moved into the hull, as a multiple of ``spacing``. In thin parts of the
-            hull, points are moved less far.
+        inset: distance by which points are moved into the hull, as a multiple of :attr:`CarvedFrame.spacing`. In
+            thin parts of the hull, points are moved less far.
         seed: seed of the random order of the points. Equal inputs and seeds give bitwise equal results.
         names: names of the cameras for error messages.
         label: name of the masks for error messages.
@@ -105,8 +105,11 @@ def _thin(xyz: Floats, normals: Floats, size: float, points: int, seed: int) -> 
 
 
 def _surface_candidates(views: Silhouettes, bounds: Bounds, size: float, points: int) -> tuple[Floats, Floats]:
-    """Find at least ``points`` surface points (N, 3) and their normals (N, 3). The cells have a side length of about
-    ``size``."""
+    """Find surface points (N, 3) and their normals (N, 3), with N >= ``points`` if possible.
+
+    The centres of cells near the surface are moved onto the surface. The cells have the side length ``size``. If they
+    give too few points, the search is repeated with smaller cells, at most three times.
+    """
     lower, upper = bounds.lower - views.origin, bounds.upper - views.origin
     xyz = normals = np.zeros((3, 0), dtype=np.float32)
     for _ in range(4 if size > 0 else 0):

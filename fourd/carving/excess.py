@@ -49,8 +49,8 @@ keep would no longer cover the silhouette up to its contour."""
 CRUMB_FULLNESS = 0.5
 """Minimum fullness of the fullest cell of a ray, as a fraction of the largest fullness on the adjacent rays. The
 fullness of a cell is the filled fraction of its neighbourhood. If the fullest cell is below the minimum, the ray does
-not keep it. This happens if a ray passes between the centres of the object's cells, and its fullest cell is therefore a
-small piece of an excess part."""
+not keep it. This happens if the ray passes between the centres of the object's cells, so that all cells on the ray
+belong to excess parts."""
 
 NEAR_CELLS = 1.3
 """A point belongs to a cell if its distance from the cell's centre is at most this multiple of the cell's side."""

@@ -277,7 +277,8 @@ def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts:
 
 def _insert(lowest: Floats, owners: NDArray[np.int16], value: Floats, index: np.int16) -> None:
     """Insert the values ``value`` (N,) of view ``index`` into ``lowest`` (K, N), in place. Each column of ``lowest``
-    contains the K lowest values so far, in ascending order, and ``owners`` (K, N) the view of each value."""
+    contains the K lowest values so far, in ascending order. ``owners`` (K, N), which is updated in place, too, contains
+    the view of each of these values."""
     owner = np.full(value.shape, index, dtype=np.int16)
     for rank in range(lowest.shape[0]):
         less = value < lowest[rank]

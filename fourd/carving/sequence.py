@@ -43,7 +43,7 @@ MIN_PARALLEL_SECONDS = 10.0
 frames, because worker processes take some seconds to start."""
 INPUTS = ("masks/{camera}/*", ".fourd/mattes/{camera}/*", "images/{camera}/*", "videos/{camera}.*", "videos.json")
 """Patterns of the files that carving reads from a capture. A key, which is a hash of all inputs of carving, shows
-whether carved points are still valid. It includes the sizes and modification times of these files."""
+whether carved points are still valid. The hash covers the sizes and modification times of these files."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,8 @@ def carve_capture(
         least_views: a fraction in (0, 1]. A point belongs to the hull only if it is seen by at least this fraction of
             all views and by at least 3 views. If there are only 2 views, both must see it.
         trim: whether to remove protruding parts of the hull. The remaining hull still covers all silhouettes.
-        inset: distance by which points are moved into the hull, in point spacings.
+        inset: distance by which points are moved into the hull, as a multiple of the mean distance between neighbouring
+            points.
         seed: seed of the random order of the points.
         track: callback that reports progress.
         workers: number of worker processes, which are started only if they save time, as estimated from the duration of

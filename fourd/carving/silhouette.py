@@ -120,7 +120,7 @@ def _object_box(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
 
 def signed_distance(mask: NDArray[np.uint8]) -> Floats:
     """Return the signed distance (H, W) float32 in pixels to the contour of a soft matte (H, W) uint8. On the contour,
-    the matte has half its maximum.
+    the matte is 127.5.
 
     Let m be the matte scaled to [0, 1]. In pixels next to the contour, the distance is set to m - 0.5. Bilinear samples
     of the distance are therefore 0 where bilinear samples of m are 0.5. The image border is not part of the contour.

@@ -166,9 +166,8 @@ def _replace_key(config: Any, key: str, values: Mapping[str, Any], flag: str) ->
 
     Args:
         config: a dataclass.
-        key: dotted key of one of the fields in ``values``, for example "rates.planes". All these fields must belong to
-            one dataclass.
-        values: new values by field name.
+        key: dotted key of a field, for example "rates.planes". Its part before the last dot selects the dataclass.
+        values: new values of fields of this dataclass, keyed by field name.
         flag: the command-line option, for errors.
     """
     head, _, rest = key.partition(".")

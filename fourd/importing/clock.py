@@ -21,7 +21,7 @@ MIN_TOLD_FRAMES = 0.5
 
 
 def describe_pictures(videos: Mapping[str, Video]) -> list[str]:
-    """Return notes on videos that are turned upright, converted from HDR or reduced, one line for each conversion."""
+    """Return notes on the conversions of video frames: turning upright, tone mapping of HDR video, and scaling down."""
     notes = []
     for turn in (90, 180, 270):
         names = [name for name, video in videos.items() if video.index.turn == turn]

@@ -1,4 +1,4 @@
-"""Conversion of calibrations for videos with turned or reduced frames."""
+"""Conversion of calibrations for videos whose frames are turned upright or scaled down."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def reduced_indices(indices: Mapping[str, VideoIndex], reduce: float) -> dict[st
 def match_calibrations(
     cameras: Sequence[ImportedCamera], indices: Mapping[str, VideoIndex], meant: CalibratedFrames, reduce: float
 ) -> tuple[tuple[ImportedCamera, ...], list[str]]:
-    """Turn and reduce each calibration in the same way as the frames of its video.
+    """Turn and scale down each calibration in the same way as the frames of its video.
 
     If ``meant`` is "auto", the orientation (landscape or portrait) of the calibrated images decides: if only the stored
     frames of the video have the same orientation, the calibration belongs to the stored frames. In all other cases, it
@@ -80,8 +80,8 @@ def match_calibrations(
 
     Args:
         cameras: the source's cameras.
-        indices: indices of the videos by camera name; their frames are already reduced.
-        meant: frames that the calibrations belong to.
+        indices: indices of the videos by camera name; their frames are already scaled down.
+        meant: whether the calibrations belong to the stored or to the turned frames.
         reduce: factor in (0, 1] that multiplies width and height of the frames.
 
     Returns:

@@ -74,7 +74,7 @@ class ImportOptions:
             corrected; see :func:`fourd.calibration.ambiguities.resolve_ambiguities`.
         calibrate: calibrate from the images even if the source has a calibration.
         reduce: factor in (0, 1] that multiplies width and height of the frames of videos.
-        calibrated_frames: frames of rotated videos that the calibrations belong to; see
+        calibrated_frames: whether the calibrations of rotated videos belong to the stored or to the upright frames; see
             :func:`fourd.importing.frame_geometry.match_calibrations`.
         distance: known distance between two cameras, which sets the scale of the world.
         board: chessboard in the first frames, which sets the world's origin and axes.

@@ -38,7 +38,7 @@ class CalibrationFormat:
     Attributes:
         name: the format's name on the command line.
         is_calibration: function that tests whether a file is a calibration of this format.
-        read: function that reads the cameras from a calibration file, with the frames in a folder.
+        read: function that takes a calibration file and the folder of the frames, and reads the cameras.
     """
 
     name: str

@@ -119,7 +119,7 @@ def write_record(out: Path, record: ImportRecord) -> None:
 
 
 def digests(imported: Imported) -> tuple[str, str]:
-    """Compute two hashes of a source: one of its calibration, and one of the names and sizes of its files."""
+    """Compute two hashes of a source: a hash of its calibration, and a hash of the names and sizes of its files."""
     calibrations, files = hashlib.sha256(), hashlib.sha256()
     for camera in imported.cameras:
         calibration = camera.calibration

@@ -114,7 +114,7 @@ def parse_screen(text: str) -> ScreenColour:
 
 
 def chroma_matte(rgb: Picture, screen: ScreenColour) -> Picture:
-    """Compute the matte (H, W) uint8, 255 = subject, of an image (H, W, 3) uint8 in front of the screen.
+    """Compute a matte (H, W) uint8, 255 = subject, from an image (H, W, 3) uint8 whose background is the screen.
 
     Small regions and small holes are removed. The matte's edge is soft and follows the image's edges.
     """
@@ -126,9 +126,10 @@ def chroma_matte(rgb: Picture, screen: ScreenColour) -> Picture:
 
 
 def screen_distance(rgb: Picture, screen: ScreenColour) -> Floats:
-    """Return the chroma distance (...) float32 between colours (..., 3) and the screen, independent of illumination.
+    """Return the chroma distance, independent of illumination, between each colour in ``rgb`` and the screen.
 
-    The distance is 0 for the screen's colour, 1 for grey, and above 1 for opposite hues.
+    The distance is 0 for the screen's colour, 1 for grey, and above 1 for opposite hues. For an image
+    (H, W, 3), the distances are an array (H, W) float32.
     """
     luma, chroma = _luma_chroma(rgb)
     screen_luma, screen_chroma = _luma_chroma(np.array(screen.rgb, np.float32))
@@ -138,7 +139,10 @@ def screen_distance(rgb: Picture, screen: ScreenColour) -> Floats:
 
 
 def _luma_chroma(rgb: NDArray[np.generic]) -> tuple[Floats, Floats]:
-    """Convert colours (..., 3) to luma (...), 0 to 255, and chroma (Cb, Cr) (..., 2) around 0 (ITU-R BT.601)."""
+    """Convert RGB colours to luma Y from 0 to 255 and chroma (Cb, Cr) around 0 (ITU-R BT.601).
+
+    The last axis of ``rgb`` has 3 elements, the last axis of the chroma has 2, and the luma lacks the last axis.
+    """
     red, green, blue = np.moveaxis(rgb.astype(np.float32), -1, 0)
     luma = np.float32(0.299) * red + np.float32(0.587) * green + np.float32(0.114) * blue
     return luma, np.stack([np.float32(0.564) * (blue - luma), np.float32(0.713) * (red - luma)], axis=-1)

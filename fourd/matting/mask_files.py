@@ -44,7 +44,7 @@ def read_mask(path: Path, capture: Capture, camera: int) -> Picture:
     """Read a mask and undistort it. Returns (H, W) uint8 at the size of the undistorted images, 255 = subject.
 
     Raises:
-        UserError: if the file is damaged or its size differs from the size of the camera's images.
+        UserError: if the file is damaged, or the mask does not have the size of the camera's images.
     """
     mask = decode_matte(path)
     stored = capture.distorted_cameras[camera]

@@ -9,7 +9,8 @@ from fourd.capture import Capture, open_capture
 
 CACHE_MB = 64
 CACHE_FRAMES = 8
-"""Number of frames by which the cache of decoded images is larger than CACHE_MB. A frame has one image per camera.
+"""Number of frames that the cache of decoded images can hold in addition to CACHE_MB MiB of images. A frame has one
+image per camera.
 
 The two frames between which optical flow is computed are a few frames apart. The cache must have room for both and for
 all frames between them.

@@ -52,7 +52,8 @@ class MatteSettings:
         screen: screen colour "R,G,B", each 0 to 255, or None to estimate the colour for each camera.
         rvm: TorchScript file of the Robust Video Matting network.
         onnx: ONNX file of Robust Video Matting or of a segmentation network.
-        masks: folder with the masks CAM/FRAME.png of another program, aligned with the recorded images.
+        masks: folder with the masks CAM/FRAME.png of another program, which match the recorded images pixel for
+            pixel.
         paint: painted images that correct the mattes of the method "motion".
     """
 
@@ -74,7 +75,7 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
     written, so they are not lost if the call fails or is interrupted.
 
     Args:
-        selection: the capture. Evidence is combined over all selected cameras.
+        selection: the capture. The method "motion" combines the evidence of all selected cameras.
         settings: the matting method and its parameters.
         workers: number of processes.
         track: progress callback.

@@ -143,7 +143,7 @@ def blend(logits: Tensor, visibility: Tensor, colours: Tensor, view_weights: Ten
 
     Returns:
         (N, 3) colours. A point that is visible in no view gets the mean of the views' colours, weighted by
-        ``view_weights``. The same applies to a point of a baked scene whose stored weights are all 0.
+        ``view_weights``. Baked scenes do the same for a point if all the weights that they store for it are 0.
     """
     visibility = zero_low_visibility(visibility)
     weights = torch.softmax(logits, dim=0) * visibility

@@ -273,8 +273,9 @@ def unit_directions(xyz: Tensor, viewer: Camera) -> Tensor:
 
 
 def _relative_directions(xyz: Tensor, viewer: Camera, cameras: tuple[Camera, ...]) -> Tensor:
-    """Compute viewing directions relative to source directions (V, N, 4), as in IBRNet. The first three numbers are the
-    viewing direction minus the source direction, and the fourth is the cosine of the angle between the two."""
+    """For V source cameras and N points, compare the direction from the viewing camera to the point with the direction
+    from the source camera to the point, as in IBRNet. Of the result (V, N, 4), the first three numbers are the first
+    unit direction minus the second, and the fourth is the cosine of the angle between the two."""
     target = unit_directions(xyz, viewer)
     parts = []
     for camera in cameras:

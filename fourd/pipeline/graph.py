@@ -95,8 +95,8 @@ def stages_to_run(request: RunRequest) -> tuple[AnyStage, ...]:
 
 
 def training_stages(files: TrainFiles, config: TrainConfig) -> tuple[AnyStage, ...]:
-    """Return the stage that trains a run. For a run with segments, return the stage that divides it and one training
-    stage for each segment."""
+    """Return the stage that trains a run. For a run with segments, return instead the stage that divides the run into
+    segments, and one training stage for each segment."""
     if config.segments.frames is None:
         return (train_stage(files, config),)
     return (divide_stage(files, config), *segment_stages(files, config))

@@ -100,9 +100,9 @@ def make_scene(
     """Run every stage from ``source`` to the scene file ``out``.
 
     Intermediate results are kept in the folder ``work``. It contains the run (``run/``) and the record of the stages
-    (``stages.json``). If ``source`` needs an import, it contains the imported capture (``capture/``). If the stage
-    ``repair`` corrects the calibration, it contains the corrected capture (``repaired/``). After a change of an input
-    or a setting, the next call repeats only the stages that depend on it. Interrupted stages resume.
+    (``stages.json``). ``work`` also contains the imported capture (``capture/``) if ``source`` needs an import, and the
+    corrected capture (``repaired/``) if the stage ``repair`` corrects the calibration. After a change of an input or a
+    setting, the next call repeats only the stages that depend on it. Interrupted stages resume.
 
     Args:
         source: a capture, or any source that :mod:`fourd.importing` can read. A URL is copied to ``work/source/``.

@@ -123,8 +123,8 @@ def run_divide(files: DivideFiles, config: TrainConfig, context: Context) -> Non
 
 
 def run_segment(files: SegmentFiles, config: TrainConfig, context: Context) -> None:
-    """Start the run of a segment, or resume it from its newest checkpoint. A finished segment whose budget is unchanged
-    is not trained again."""
+    """Start the run of a segment, or resume it from its newest checkpoint. A segment that has already
+    spent the step or time budget in ``config`` is not trained again."""
     group = context.group or ALONE
     # The folder is locked, because the same task may run twice: if the cluster loses the connection to a node, it
     # restarts the node's task on another node.

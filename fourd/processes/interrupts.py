@@ -22,8 +22,9 @@ class DeferredInterrupt:
     """A context manager. Inside the ``with`` block, the first Ctrl-C only sets :attr:`is_pending`, and the second
     Ctrl-C raises KeyboardInterrupt. SIGTERM is deferred in the same way after a call of :func:`handle_termination`.
 
-    Outside the main thread, nothing is deferred, because Python handles signals only in the main thread. Signals that
-    the process ignores or for which it has its own handler are not affected.
+    Outside the main thread, nothing is deferred, because Python handles signals only in the main thread. A signal is
+    deferred only if its handler at the start of the block is ``signal.default_int_handler``, which raises
+    KeyboardInterrupt. Signals that are ignored or have another handler are not affected.
     """
 
     def __init__(self) -> None:

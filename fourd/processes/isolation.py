@@ -1,8 +1,8 @@
 """Runs third-party parsers in a child process, so that a crash, a hang or a lack of memory leads to an error message.
 
 The child process runs :mod:`fourd.processes.worker`. Requests and replies are JSON, followed by plain bytes. Replies
-are not pickled: a malicious file could take over the child process, and to unpickle a reply from it could run any code
-in this process.
+are not pickled, because a malicious file could take over the child process, and unpickling a reply of that process
+could then run any code in this process.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Locks on folders, which keep two commands that change the same run, capture or work folder from deleting each other's
-files.
+"""Locks on folders. A lock ensures that only one command at a time changes a run, a capture or a work folder, because
+two commands could delete each other's files.
 """
 
 from __future__ import annotations

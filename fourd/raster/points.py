@@ -49,9 +49,9 @@ def render_points(
 ) -> PointRender:
     """Composite the nearest ``layers`` points of every pixel front to back (differentiable peeling, 4K4D sec. 3.3).
 
-    Let K be the intrinsic matrix, z_i the camera depth of point i, and q_i its projected centre. Its radius in pixels
-    is rho_i = K[1, 1] * radius_i / z_i, and its alpha at pixel p is alpha_i(p) = density_i * max(1 - |q_i - p|^2 /
-    rho_i^2, 0). The points with alpha_i(p) > 0 are composited in ascending order of (depth, index).
+    Let K be the intrinsic matrix, z_i the camera depth of point i, and q_i its projected centre. The point's radius in
+    pixels is rho_i = K[1, 1] * radius_i / z_i, and its alpha at pixel p is alpha_i(p) = density_i * max(1 - |q_i - p|^2
+    / rho_i^2, 0). The points with alpha_i(p) > 0 are composited in ascending order of (depth, index).
 
     The results are differentiable in all tensors. The backward pass treats the selection of points as constant. On the
     CPU, results and gradients are bit-identical for any number of threads.

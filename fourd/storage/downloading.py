@@ -90,7 +90,7 @@ def find_objects(url: StorageUrl) -> list[StoredObject]:
 
 
 def _find(url: StorageUrl) -> dict[str, StoredObject]:
-    """List all objects at ``url`` by key, which is an empty string for the object ``url`` itself."""
+    """List all objects at ``url``, as a map from key to object. The key of the object ``url`` itself is empty."""
     store = connect(url)
     with storage_errors(url):
         found: dict[str, dict[str, Any]] = store.find(str(url), detail=True)
@@ -202,7 +202,7 @@ def _download(store: Any, url: StorageUrl, item: StoredObject, path: Path, stop:
 
 def _is_current(item: StoredObject, path: Path, known: tuple[int, str] | None) -> bool:
     """Return True if a copy is complete and has the object's current version. Copies whose key starts with a dot, such
-    as files in .fourd/, may have another size, because fourd may have changed these files."""
+    as files in .fourd/, may differ in size from the object, because fourd may have changed these files."""
     if known != (item.size, item.version) or not path.is_file():
         return False
     return path.stat().st_size == item.size or item.key.startswith(".")

@@ -54,7 +54,8 @@ def local_output(location: Location, track: Track = untracked) -> Iterator[Path]
 
 @contextmanager
 def _temporary_folder(url: StorageUrl) -> Iterator[Path]:
-    """Yield a temporary folder. In error messages, the URL replaces the path of the file in the temporary folder."""
+    """Yield a temporary folder for the local file or folder that stands for ``url``. In the message of a UserError, the
+    URL replaces the path of this file or folder."""
     with tempfile.TemporaryDirectory(prefix="fourd-") as name:
         try:
             yield Path(name)

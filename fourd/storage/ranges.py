@@ -59,8 +59,8 @@ class _Ranges(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:
         with self._lock, storage_errors(self._url):
             content = self._stream.read(len(buffer))
-            # S3 itself rejects a read if the object has changed since it was opened. For other stores, the versions are
-            # compared.
+            # S3 itself rejects a read if the object has changed since it was opened. For other stores, the object's
+            # current version is compared with its version at that time.
             if self._url.scheme != "s3" and object_version(self._store.info(str(self._url))) != self._version:
                 raise changed(self._url)
         buffer[: len(content)] = content

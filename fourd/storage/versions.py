@@ -10,8 +10,8 @@ def object_version(info: dict[str, Any]) -> str:
     """Return the identifiers of an object's content: size, ETag or another hash, and time of the last change."""
     tag = next((str(info[name]) for name in ("ETag", "etag", "md5Hash", "generation") if info.get(name)), "")
     seconds = changed_seconds(info)
-    # Fractions of a second are kept only if the store reports no hash, because a listing and a request for a single
-    # object can report different fractions.
+    # A listing and a request for a single object can report different fractions of a second, so the fractions are kept
+    # only if the store reports no hash.
     time = "" if seconds is None else str(int(seconds) if tag else seconds)
     return f"{info['size']} {tag} {time}".strip()
 

@@ -74,8 +74,8 @@ def estimate_normals(xyz: Points, seen: Visibility | None = None) -> Normals:
 
     Args:
         xyz: (N, 3) positions.
-        seen: the cameras that see each point, or None if unknown. The normal of a point that no camera sees points away
-            from the mean position of the points around it.
+        seen: the cameras that see each point, or None if unknown. If ``seen`` is None or no camera sees a point, the
+            point's normal points away from the mean position of the points around it.
 
     Returns:
         (N, 3) float32 normals, which are (0, 0, 1) if there are fewer than 3 points.

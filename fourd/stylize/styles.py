@@ -43,7 +43,7 @@ class Ramp:
     Attributes:
         stops: lists of four numbers in [0, 1]: the tone at which a colour begins, and its red, green and blue. The
             first stop has the tone 0.
-        softness: range of tones, from 0 to 1, over which one colour changes to the next.
+        softness: width of the range of tones over which one colour changes to the next, from 0 to 1.
         map: path of a shade map, a PNG that replaces ``stops``. Its columns have the colours of the tones from 0 to 1,
             and its rows those of the details from 0 to 1 (see :class:`DetailAxis`). The PNG has 1 row for toon shading,
             and 1 to 64 rows for X-Toon shading.
@@ -144,7 +144,9 @@ class LineSettings:
 
     Attributes:
         filter: none, sobel (nine taps) or cross (five taps).
-        depth: a line is drawn where the relative jump of the depth is above this number, which is positive.
+        depth: threshold for changes of the inverse depth, as a fraction of the largest inverse depth at the taps,
+            positive. With sobel, a line is drawn where the change across the pixel exceeds the threshold. With cross,
+            a line is drawn where half the sum of the second differences along row and column exceeds the threshold.
         normal: threshold for the cosines between the pixel's normal and the normals at the taps, positive. With sobel,
             a line is drawn where the cosines on opposite sides of the pixel differ by more than this number. With
             cross, a line is drawn where the cosine at a tap is below 1 minus this number.

@@ -176,8 +176,8 @@ def estimate_offsets(energies: Sequence[Array], max_offset: int) -> Offsets:
 
 
 def _bandpass(energy: Array) -> Array:
-    """Compute the logarithm (F,) of the motion energy after band-pass filtering, normalisation and clipping. If the
-    energy is constant, the signal is 0."""
+    """Compute the logarithm of the motion energy, and then filter it with the band-pass filter, normalise it and clip
+    it. Returns the signal (F,), which is 0 if the energy is constant."""
     level = ENERGY_FLOOR * float(np.median(energy)) + 1e-3 * float(np.max(energy, initial=0)) + 1e-9
     logarithm = np.log(energy + level)
     band = gaussian_filter1d(logarithm, FINE_SIGMA_FRAMES) - gaussian_filter1d(logarithm, COARSE_SIGMA_FRAMES)
@@ -222,7 +222,7 @@ def plot_offsets(path: Path | str, names: Sequence[str], energies: Sequence[Arra
     panel shows them shifted by the offsets.
 
     Each camera has a row with its name, offset and confidence. Confidences below 0.1 are printed in red. Each row has a
-    separate vertical scale. Vertical grey lines mark the same frame numbers in both panels.
+    separate, logarithmic vertical scale. Vertical grey lines mark the same frame numbers in both panels.
     """
     height = 3 * MARGIN + ROW * len(names) + MARGIN
     canvas = np.full((height, LABEL + 2 * (PANEL + MARGIN) + MARGIN, 3), 255, np.uint8)

@@ -206,7 +206,8 @@ def _estimate_lag(first: Soundtrack, second: Soundtrack) -> tuple[float, float, 
 
 
 def _phat(first: Samples, second: Samples, limit: int) -> Array:
-    """Return the correlation (2 * limit + 1,) of the phases in the pass band, for lags from -limit to limit samples.
+    """Correlate two signals by their phases in the pass band. Return an array (2 * limit + 1,) with the correlation at
+    each lag from -limit to limit samples.
 
     If one signal is a delayed copy of the other signal, the correlation is 1 at the lag of the delay.
     """

@@ -62,8 +62,8 @@ class BoardRenderer:
         self._rays = _sample_rays(camera)
 
     def render(self, poses: Sequence[BoardPose], generator: np.random.Generator) -> Picture:
-        """Render the mean (H, W) uint8 of the images for all ``poses``, which shows the motion blur of a moving
-        board."""
+        """Render one image for each of the ``poses``, and return the mean of the images, (H, W) uint8. It shows the
+        motion blur of a moving board."""
         exposure = np.mean([self._render_sharp(pose) for pose in poses], axis=0)
         blurred = cv2.GaussianBlur(exposure, (0, 0), self.optics.blur_px)
         noisy = blurred + generator.normal(0, self.optics.noise, blurred.shape)

@@ -170,8 +170,8 @@ def gait_phase(frame: int, frames: int) -> float:
 
 
 def _make_cameras(figure: Figure, settings: SynthSettings) -> list[Camera]:
-    """Create cameras that face the figure. They have the same focal length: the longest with which the figure is inside
-    all images."""
+    """Create cameras that face the figure. They have the same focal length: the longest one at which the figure extends
+    over at most the fraction FILL of each image."""
     unit = np.eye(3)
     poses = [pose_figure(figure, step / 48) for step in range(48)]
     target, up = np.array([0.0, 0.0, 0.88]), np.array([0.0, 0.0, 1.0])

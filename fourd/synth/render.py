@@ -235,8 +235,8 @@ def projected_extent(parts: Sequence[Part], camera: Camera) -> Array:
 
 
 def _pixel_rays(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
-    """Return u for each image position in ``x`` and v for each image position in ``y``, in pixels, such that (u, v, 1)
-    is the ray through the position (x, y) in camera coordinates.
+    """Return arrays u and v such that (u[i], v[j], 1) is the ray, in camera coordinates, through the image position
+    (x[i], y[j]) in pixels.
 
     The parameter along a ray (u, v, 1) is equal to the camera depth.
     """

@@ -1,5 +1,5 @@
-"""Training of a run, the folder with the config and the results of one training: scenes, loss terms, schedule, training
-loop, checkpoints and evaluation.
+"""The training of a run: scenes, loss terms, schedule, training loop, checkpoints and evaluation. A run is the folder
+with the config and the results of one training.
 
 ``loop.Trainer`` runs the training loop: the module ``schedule`` selects the frame and the views of each training step,
 and the module ``step`` performs the step. The trainer also logs metrics, validates, and saves checkpoints. The package

@@ -28,9 +28,9 @@ CACHED_STEPS = 100
 """Number of training steps for which the cached depth and image features of a plate are reused. Reusing them is
 possible because they change only slowly during training."""
 MAX_DEPTH_BEHIND = 9.0
-"""Tolerance of the occlusion test, as a multiple of the point's spacing. A point is occluded in a plate if it lies
-farther than the tolerance behind the plate's occlusion depth, which is the rendered depth of the background's surface
-(see :func:`fourd.training.occlusion.occlusion_depth`)."""
+"""Tolerance of the occlusion test, as a multiple of the point's spacing (its distance to neighbouring points). A point
+is occluded in a plate if it lies farther than the tolerance behind the plate's occlusion depth, which is the rendered
+depth of the background's surface (see :func:`fourd.training.occlusion.occlusion_depth`)."""
 MIN_RADIUS = 0.6
 """Smallest radius of a background point, as a multiple of the point's spacing."""
 

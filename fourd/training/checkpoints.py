@@ -78,9 +78,9 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
         tensors: name -> dense tensor, stored bit for bit.
         state: JSON data that is stored in the file's header. Floats are stored exactly.
 
-    The points of each frame are in separate points files, in the folder :func:`points_folder` next to the checkpoint.
-    The checkpoint also contains BLAKE2b digests of its own contents and of these points files, so write them before
-    calling this function.
+    The points of each frame are in separate points files, in a folder next to the checkpoint; :func:`points_folder`
+    returns its path. The checkpoint also contains BLAKE2b digests of its own contents and of these points files, so
+    write the points files before calling this function.
 
     Returns:
         The file's path.
@@ -298,7 +298,8 @@ def unpack_numpy_rng(state: Mapping[str, Any]) -> np.random.Generator:
 
 
 def _drop_old(folder: Path, step: int) -> None:
-    """Delete all checkpoints up to ``step`` except the two newest, and all damaged checkpoints of later steps.
+    """Of the checkpoints up to ``step``, delete all except the two newest. Of the checkpoints of later steps, delete
+    the damaged ones.
 
     Checkpoints of later steps exist if the run was resumed from an older checkpoint because the newest was damaged.
     """

@@ -63,8 +63,8 @@ class RateConfig:
     sh: float = 5e-3
     """Learning rate of explicit spherical harmonics and of the points' own colours (see `model.own_colour`)."""
     final: float = 0.05
-    """Fraction of its configured value to which each learning rate has decayed at the end of the step or time
-    budget."""
+    """At the end of the step or time budget, each learning rate has decayed to this fraction of its configured
+    value."""
     warm_up: int = 20
     """Number of steps of the linear warm-up of the learning rates."""
 
@@ -97,8 +97,8 @@ class BackgroundConfig:
     planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(levels=4, base_resolution=64, time=False))
     """K-Planes of the background, in contracted space."""
     joint: bool = True
-    """Render and train foreground and background together in steps on a frame. Each training step uses either a frame
-    or a clean plate as ground truth (see `share`). If `joint` is false, steps on a frame render and train only the
+    """Each training step uses either a frame or a clean plate as ground truth (see `share`). If `joint` is true, steps
+    on a frame render and train foreground and background together. If it is false, they render and train only the
     foreground, and the background is trained only in steps on clean plates."""
     share: float = 0.35
     """Fraction of the training steps that use a clean plate (image of the empty scene) as ground truth. The other steps
@@ -111,10 +111,11 @@ class BackgroundConfig:
     xyz_rate: float = 0.02
     """Learning rate of the positions of background points, as a fraction of the point spacing."""
     least_layers: int = 12
-    """Minimum number K of points that are composited at each pixel of a full scene. Each step samples K between
-    `background.least_layers` and `layers`. A larger minimum prevents blur on floors that are viewed at a grazing angle,
-    where many points overlap at each pixel. If K is too small there, the farthest of these points are missing in the
-    image. Training compensates by enlarging the discs, so even more points overlap, and the image becomes blurred."""
+    """Minimum of the number K of composited points in a full scene. Each training step samples K between
+    `background.least_layers` and `layers`, and composites at most K points at each pixel. A larger minimum prevents
+    blur on floors that are viewed at a grazing angle, where many points overlap at each pixel. If K is too small there,
+    the farthest of these points are missing in the image. Training compensates by enlarging the discs, so even more
+    points overlap, and the image becomes blurred."""
     encoder_every: int = 8
     """Update the background's image encoder only in steps that use a clean plate and whose step number is divisible by
     `encoder_every`."""
@@ -258,12 +259,12 @@ class TrainConfig:
     point spacing. Without this inset, the initial silhouettes would be too large, because each point is rendered as a
     disc around its position, and training would first have to shrink them."""
     layers: int = 15
-    """Maximum number K of points that are composited at each pixel while training."""
+    """Maximum of the number K of composited points. Each training step samples K between `least_layers` and `layers`,
+    and composites at most K points at each pixel."""
     least_layers: int = 8
-    """Minimum number K of points that are composited at each pixel while training. Each step samples K between
-    `least_layers` and `layers`. Steps with a small K make surfaces opaque after few layers, which is needed because an
-    exported scene composites fewer layers than training does. Full scenes use `background.least_layers` instead of this
-    key."""
+    """Minimum of the number K of composited points (see `layers`). Steps with a small K make surfaces opaque after few
+    layers, which is needed because an exported scene composites fewer layers than training does. Full scenes use
+    `background.least_layers` instead of this key."""
     samples: int = 2
     """Number of samples per pixel along rows and along columns while training, from 1 to 4. A pixel is the mean of all
     its samples. One sample per pixel gives ragged contours and a lower PSNR in novel views than 2 x 2 samples."""

@@ -82,8 +82,8 @@ class Trainer:
             run: the run folder.
             lpips: the network of the perceptual loss; if None, SSIM replaces the perceptual loss.
             console: console that shows the progress of training.
-            budget: the run's config, but with the limits max_steps and max_seconds of this call. When a run is resumed,
-                these limits may be larger than the limits in config.yaml.
+            budget: the run's config, but with the limits max_steps and max_seconds for this training. When a run is
+                resumed, these limits may be larger than the limits in config.yaml.
             group: the ranks that train the run together.
             device: device on which the scene is trained. Checkpoints do not depend on the device.
         """

@@ -67,7 +67,8 @@ class SceneConfig:
     spacing: float = 0.01
     """Mean distance between neighbouring points."""
     first_frame: int = 0
-    """Index in the capture of the frame at time 0: the first frame of a segment, or 0 for a run without segments."""
+    """Frame at time 0, as an index into the capture's frames: the first frame of a segment, or 0 for a run without
+    segments."""
     frame_count: int = 1
     """Number of frames from time 0 to time 1: the frames of a segment, or all frames of the capture for a run without
     segments."""
@@ -174,7 +175,7 @@ class Run:
 
         For training on a GPU, the cache size is an eighth of the free GPU memory, but at least the size in the config.
         A large cache is needed because decoding an image takes longer than a step on a GPU. The cached images are in
-        CPU memory; GPU memory serves as the measure because it is rarely larger than CPU memory.
+        CPU memory, where they fit because CPU memory is rarely smaller than GPU memory.
         """
         train = self.config.train
         cache_mb = train.memory_mb if device.type != "cuda" else max(train.memory_mb, _free_gpu_mb(device) // 8)

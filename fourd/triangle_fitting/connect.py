@@ -40,7 +40,8 @@ class OrientedPoints:
 
     Attributes:
         xyz: (N, 3) float64 centres in world units.
-        normals: (N, 3) float64 unit normals. Each normal points to the side of the triangle that more pixels show.
+        normals: (N, 3) float64 unit normals. Of the triangle's two sides, the normal points to the one that more pixels
+            show.
         weights: (N,) float64 number of pixels that show the triangle, summed over all views, always positive.
     """
 

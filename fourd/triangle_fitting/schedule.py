@@ -4,9 +4,9 @@ The alpha of a triangle at a pixel is its opacity times a window function, which
 to 0 at its edges (:func:`fourd.raster.triangles.splat_triangles`). In the soft phase, the exponent sigma of the window
 function is 1.16, and opacities have no lower limit. In the next phase, sigma decreases geometrically to 1e-4 while a
 lower limit of the opacity rises from 0.1 to 0.9999, so that the triangles become opaque up to their edges. The initial
-value of sigma is that of Held et al. 2025. Its final value and the range of the lower limit are those of the variant of
-their method that makes triangles opaque. In fourd, sigma and the lower limit depend on the spent fraction of the
-budget.
+value of sigma comes from Held et al. 2025. The final value of sigma and the range of the lower limit come from the
+variant of their method that makes triangles opaque. In fourd, sigma and the lower limit depend on the spent fraction of
+the budget.
 """
 
 from __future__ import annotations
@@ -42,8 +42,9 @@ class Phase:
 
 
 def phase_at(share: float, settings: TriangleSettings) -> Phase:
-    """Return the phase when the fraction ``share``, in [0, 1], of the budget is spent. The phase is used only below
-    ``hard_share``. From there on, opaque triangles are fitted, which need only :func:`surface_rate`."""
+    """Return the phase when the fraction ``share``, in [0, 1], of the budget is spent. The result is used only
+    while ``share`` is below ``settings.hard_share``. The fit then continues with opaque triangles, which need only
+    :func:`surface_rate`."""
     rate = SLOWEST_RATE**share
     if share < settings.soft_share:
         return Phase(SIGMA_RANGE[0], 0.0, rate, True)

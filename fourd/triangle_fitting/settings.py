@@ -12,8 +12,8 @@ class TriangleSettings:
 
     Attributes:
         triangles: maximum number of soft triangles, at least 16. The fit starts with half of this number.
-        cells: number of grid cubes along the longest side of the subject, at least 8, which determines the resolution
-            of connected meshes.
+        cells: number of grid cubes along the longest side of the subject, at least 8. This number determines the
+            resolution of connected meshes.
         connect: whether the opaque triangles are joined into a closed mesh. If False, they remain separate.
         max_steps: maximum number of steps; None means no limit.
         max_seconds: maximum fitting time in seconds; None means no limit. At least one of ``max_steps`` and

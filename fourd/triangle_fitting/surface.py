@@ -1,4 +1,4 @@
-"""The fit of opaque triangles, which are joined into a mesh or separate."""
+"""The fit of opaque triangles, which either have been joined into a mesh or are still separate."""
 
 from __future__ import annotations
 

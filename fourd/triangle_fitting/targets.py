@@ -49,10 +49,10 @@ class Target:
 
 
 class TargetOrder:
-    """Draws targets in rounds, each of which contains every target once, in random order."""
+    """Selects targets in rounds. Each round contains every target once, in random order."""
 
     def __init__(self, targets: Sequence[Target], generator: torch.Generator) -> None:
-        """Draw from one or more targets."""
+        """Select from ``targets`` (at least one), in a random order given by ``generator``."""
         self._targets, self._generator = targets, generator
         self._order: list[int] = []
 

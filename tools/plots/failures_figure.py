@@ -41,8 +41,8 @@ class Case:
 
 
 def main(out: tyro.conf.Positional[Path]) -> None:
-    """Make a synthetic capture, carve it with and without errors in its calibration and mattes, and write the figure to
-    ``out``.
+    """Make a synthetic capture, carve its visual hull with and without errors in the calibration and the mattes, and
+    write the figure to ``out``.
     """
     with tempfile.TemporaryDirectory() as folder:
         make_synthetic(Path(folder) / "capture", frames=FRAMES, cameras=CAMERAS, size=SIZE)

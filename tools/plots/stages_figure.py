@@ -37,7 +37,7 @@ class Arguments:
     scene: tyro.conf.Positional[Path]
     """Exported scene."""
     hull: tyro.conf.Positional[Path]
-    """Folder with one PLY file per frame, which contains the points of the frame's visual hull."""
+    """Folder with one PLY file per frame. Each file contains the points of the frame's visual hull."""
     out: tyro.conf.Positional[Path]
     """Folder for stages.jpg and orbit.jpg."""
     view: int = 0

@@ -61,9 +61,9 @@ class Untested(Rays):
 
 @dataclass(frozen=True, eq=False)
 class Rasterized(Rays):
-    """Visibility by a rasterized depth map. A point is visible if its depth exceeds the smallest depth of the 3 x 3
-    pixels around it by at most a tolerance. The tolerance is the width of TOLERANCE_PX pixels at the point's depth,
-    divided by the cosine of the angle between the viewing ray and the normal."""
+    """Visibility by a rasterized depth map. A point is visible if its depth is at most d + t, where d is the smallest
+    depth of the 3 x 3 pixels around the point, and t is a tolerance: the width of TOLERANCE_PX pixels at the point's
+    depth, divided by the cosine of the angle between the viewing ray and the normal."""
 
     nearest: dict[Camera, Floats] = field(default_factory=dict)
 

@@ -2,10 +2,10 @@
 
     python tools/scale/cost_model.py --cameras 60 --frames 18000 --size 3840 2160 --nodes 16 --cores 16
 
-The coefficients in tools/scale/costs.json were measured with tools/scale/measure_costs.py; those of the stages import
-and mattes are constants in fourd.pipeline.plan. They are CPU seconds of one core of the machine on which they were
-measured. Use --speed for other machines: if their cores are twice as fast, pass --speed 2. Use --price to pass the
-hourly price of a node.
+The coefficients of the stages import and mattes are constants in fourd.pipeline.plan. All other coefficients were
+measured with tools/scale/measure_costs.py and are stored in tools/scale/costs.json. Coefficients that are times
+are CPU seconds of one core of the machine on which they were measured. Use --speed for other machines: if their cores
+are twice as fast, pass --speed 2. Use --price to pass the hourly price of a node.
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ class Costs:
 
 @dataclass(frozen=True)
 class Capture:
-    """A capture and the config of its training, which divides the frames into segments and trains each separately.
+    """A capture and the config of its training. The training divides the frames into segments, and trains each segment
+    separately.
 
     Attributes:
         cameras: number of cameras.

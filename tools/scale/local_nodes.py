@@ -16,8 +16,8 @@ STORE_BYTES = 80 << 20
 TRAINED = "train "
 """Prefix of the names of the stages that train segments (ranges of frames)."""
 PATIENT = 200
-"""Value of ``patience`` in :func:`local_nodes` for clusters from which no node is removed. A large value is possible
-there, because Ray does not have to detect lost nodes."""
+"""Value of ``patience`` in :func:`local_nodes` for clusters from which no node is removed. In such a cluster, Ray
+does not have to detect lost nodes, so the value can be large."""
 TITLE = "ray::"
 """Prefix of the process titles of Ray's workers."""
 OTHER_TITLES = ("IDLE", "DashboardAgent", "RuntimeEnvAgent")
@@ -41,7 +41,8 @@ class LocalNodes:
         return str(self._cluster.address)
 
     def add(self) -> None:
-        """Start one more node. On a busy machine, its processes may not answer in time; the start is then repeated."""
+        """Start one more node. If the processes of the node do not answer in time, for example because the machine is
+        busy, the start is repeated."""
         for attempt in range(ATTEMPTS):
             try:
                 self._cluster.add_node(num_cpus=self._cores, object_store_memory=STORE_BYTES, include_dashboard=False)
@@ -70,8 +71,8 @@ class LocalNodes:
         return int(node.all_processes["raylet"][0].process.pid)
 
     def _running(self) -> dict[int, tuple[str, int]]:
-        """Return a mapping from the process id of each running stage to the stage's name and its parent process, which
-        is its node's main process."""
+        """Return a mapping from the process id of each running stage to the stage's name and the id of the parent
+        process, which is the main process of the node."""
         raylets = {self._raylet(node) for node in self._cluster.worker_nodes}
         found = {}
         for folder in Path("/proc").glob("[0-9]*"):

@@ -3,10 +3,11 @@
     fourd synth CAPTURE --frames 84 --cameras 4 --size 48
     python tools/scale/random_kills.py CAPTURE --workers 20 --drivers 20 -- --segment 12 --points 500 --max-steps 20
 
-The command is repeated until all kills (SIGKILL) are done. If a worker (the process of a running stage) is killed, Ray
-starts the stage again. If the driver (the process of the command) is killed, the program starts the same command again
-at once. The cluster is one node with two cores on this machine. The exit code is 1 if a scene differs from the scene of
-the uninterrupted command, or if a segment that was finished before a kill was trained again.
+First, the command runs once without kills. Then it is repeated until all kills (SIGKILL) are done. If a worker (the
+process of a running stage) is killed, Ray starts the stage again. If the driver (the process of the command) is killed,
+the program starts the same command again at once. The cluster is one node with two cores on this machine. The exit code
+is 1 if a scene differs from the scene of the first run, or if a segment that was finished before a kill was trained
+again.
 """
 
 from __future__ import annotations

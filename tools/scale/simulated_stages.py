@@ -63,8 +63,8 @@ class Simulation:
         cameras: number of cameras.
         frames: number of frames.
         segment: maximum number of frames of a segment.
-        units: number of units to train a segment. The stages "mattes" and "plates" have one unit per camera, "carve"
-            has one per segment, and the other stages have a single unit.
+        units: number of units of the training of one segment. The stages "mattes" and "plates" have one unit per
+            camera, "carve" has one per segment, and the other stages have a single unit.
         seconds: waiting time of a unit in seconds.
     """
 

@@ -3,8 +3,8 @@ style changes.
 
     python tools/styles/contact_sheet.py SHEET.jpg --scenes fox.4dv:03 full.4dv:09 --video styles.mp4
 
-Pass each scene as a `.4dv` file, a colon and the name of a camera. In the video, the camera circles the first scene
-while it plays.
+Pass each scene as a `.4dv` file, a colon and the name of a camera. In the video, the first scene plays while
+the camera circles it.
 """
 
 from __future__ import annotations

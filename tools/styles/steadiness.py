@@ -98,8 +98,8 @@ class Count:
 def main(arguments: Arguments) -> None:
     """Print the percentage of edge pixels that flicker in each style.
 
-    Each style is measured twice: unchanged, and without the averaging over images and the hysteresis by which fourd
-    reduces flicker.
+    Each style is measured twice: once as it is, and once without the two methods by which fourd reduces flicker
+    (averaging over successive images, and hysteresis).
     """
     scene = open_scene(arguments.scene)
     manifest = scene.manifest

@@ -33,7 +33,7 @@ class Arguments:
     """The run and the orbit."""
 
     run: tyro.conf.Positional[Path]
-    """Run folder, trained on a capture of fourd synth."""
+    """Folder of a run that was trained on a capture of fourd synth."""
     images: int = 240
     """Number of images on a full orbit at the middle frame."""
 

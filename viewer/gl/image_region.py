@@ -12,13 +12,13 @@ from fourd.baking import BakedFrame
 from fourd.viewer.display import RenderRequest
 
 _BLOCK = 64
-"""Number of points in each row of the array over whose rows :func:`_bounds` computes minima and maxima. With one point
-(3 elements) per row, NumPy would be slow."""
+"""Number of points per row. :func:`_bounds` arranges the points as an array with this many points in each row, and
+computes the minimum and maximum of each column. With one point (3 elements) per row, NumPy would be slow."""
 
 
 @dataclass(frozen=True)
 class ImageRegion:
-    """The pixels in the columns from ``left`` to before ``right``, and the rows from ``top`` to before ``bottom``."""
+    """The pixels with ``left`` <= column < ``right`` and ``top`` <= row < ``bottom``."""
 
     left: int
     top: int
@@ -37,8 +37,8 @@ class RegionFinder:
         """Return a region that contains all discs.
 
         The region extends one pixel past the discs, because the pixel filter averages blocks of 3 x 3 pixels. It
-        is the whole image if the scene has a background, if the box around the points extends behind the near plane or
-        is not finite, or if ``margin`` is None.
+        is the whole image if the scene has a background, if a part of the box around the points is closer to the
+        camera than the near plane, if the box is not finite, or if ``margin`` is None.
 
         Args:
             request: the frame, which has at least one point, and the camera.

@@ -56,7 +56,8 @@ class GLRenderer:
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """(H, W) strength of the lines in the last image. Raises RuntimeError if the image has no style."""
+        """Strength of the lines in the last image, as an array (H, W). Raises RuntimeError if the image has no
+        style."""
         if self._styled is None:
             raise RuntimeError("line_strength: expected an image in a style, got none; draw one first")
         return self._styled.line_strength
@@ -64,8 +65,8 @@ class GLRenderer:
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
         """Draw ``request`` into ``canvas``, at the image size of the request's camera.
 
-        If ``wait`` is True, the image shows the frame of ``request`` in its own depth order. If ``wait`` is False, the
-        frame and the depth order may be those of an earlier request.
+        If ``wait`` is True, the image shows the frame of ``request``, drawn in the depth order of ``request``. If
+        ``wait`` is False, the frame and the depth order may be those of an earlier request.
         """
         order = self._orders.order(request, wait)
         self._stale_images = 0 if order.matches(request) else self._stale_images + 1

@@ -108,7 +108,8 @@ class StyledDrawing:
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """(H, W) strength of the lines in the last image, without specks (very short lines, which are not drawn)."""
+        """Strength of the lines in the last image, as an array (H, W). Specks (very short lines) are removed, because
+        they are not drawn."""
         return self._stylizer.line_strength
 
     def with_normals(self, frame: BakedFrame, manifest: SceneManifest) -> BakedFrame:

@@ -41,7 +41,8 @@ class GLStylizer:
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """(H, W) strength of the lines in the last image, without specks (very short lines, which are not drawn)."""
+        """Strength of the lines in the last image, as an array (H, W). Specks (very short lines) are removed, because
+        they are not drawn."""
         state = self.line_state
         content = np.frombuffer(state.read(alignment=1), np.uint32).reshape(state.height, state.width)
         return remove_specks((content & 255).astype(np.uint8), speck_reach(self._thickness))

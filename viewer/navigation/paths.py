@@ -191,8 +191,8 @@ class _Rig:
 
     Attributes:
         focus: origin of the spherical coordinates (3,), in world units.
-        axes: unit vectors as the rows of a (3, 3) matrix. The first row points towards the first camera in the
-            horizontal plane. The second row points sideways, and the third row points up.
+        axes: unit vectors as the rows of a (3, 3) matrix. The first row is horizontal and points towards the azimuth
+            of the first camera. The second row points sideways, and the third row points up.
         azimuths: azimuths of the cameras in radians, (C,).
         distance: the cameras' median distance from the focus in world units.
         elevation: the cameras' median elevation in radians.
@@ -276,8 +276,8 @@ def _sample_spline(knots: Array, steps: int, loop: bool) -> Array:
     """
     if loop:
         # After one loop around the cameras, the quaternion of the same rotation can have the opposite sign, so a
-        # periodic spline over one loop would not close. After two loops, it always has its first sign again. The spline
-        # therefore covers two loops, and only the first one is sampled.
+        # periodic spline over one loop would not close. After two loops, the quaternion has the same sign as at the
+        # start. The spline therefore covers two loops, and only the first one is sampled.
         knots = _align_signs(np.concatenate([knots, knots, knots[:1]]))
     else:
         knots = _align_signs(knots)

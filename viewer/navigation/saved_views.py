@@ -35,7 +35,8 @@ def pose_to_json(pose: Pose) -> dict[str, Any]:
 
 
 def pose_from_json(content: Any) -> Pose:
-    """Convert JSON values from :func:`pose_to_json` to a pose. Raises ValueError if ``content`` is not a valid pose."""
+    """Return the pose that :func:`pose_to_json` has converted to ``content``. Raises ValueError if ``content`` is not
+    a valid pose."""
     try:
         pose = Pose(
             pivot=_numbers(content["pivot"], (3,)),

@@ -32,7 +32,7 @@ def text_scale(state: ViewerState) -> float:
     """Return the scale of text and widgets, which is usually the display's scale factor.
 
     If one window coordinate covers more than one pixel of the framebuffer, the result is 1. Sizes of text and widgets
-    are in window coordinates, so text then already covers more pixels.
+    are in window coordinates, so on such a display, text is enlarged without an additional scale factor.
     """
     is_scaled = state.window.framebuffer_size[0] > state.window.size[0]
     return 1.0 if is_scaled else state.window.content_scale

@@ -81,7 +81,7 @@ def write_scene(
     level: int | None = None,
     has_normals: bool = True,
 ) -> None:
-    """Write a scene in the form that browsers read, which is packed and compressed with zlib. The arguments are those
+    """Write a scene in the form that browsers read: packed and compressed with zlib. The arguments are those
     of :func:`write_site`. Raises UserError."""
     reader = SceneReader(source)
     manifest = reader.manifest

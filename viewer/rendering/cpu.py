@@ -32,12 +32,12 @@ class CPURenderer:
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """(H, W) strength of the lines in the last image that was drawn in a style. Raises RuntimeError if the renderer
-        has not yet drawn an image in a style."""
+        """Strength of the lines in the last image that was drawn in a style, as an array (H, W). Raises RuntimeError if
+        the renderer has not yet drawn an image in a style."""
         return (self._styled or StyledPlayer()).line_strength
 
     def render(self, request: RenderRequest) -> NDArray[np.uint8]:
-        """Return the rendered image, (H, W, 4) uint8, which the next call of :meth:`render` overwrites."""
+        """Return the rendered image as a uint8 array (H, W, 4), which the next call of :meth:`render` overwrites."""
         shape = (request.camera.height, request.camera.width, 4)
         if self._pixels is None or self._pixels.shape != shape:
             self._pixels = zeros_aligned(shape, np.uint8)

@@ -37,7 +37,7 @@ class OffscreenRenderer:
         self._canvas = None if self._context is None else _make_canvas(self._context)
 
     def render(self, request: RenderRequest) -> NDArray[np.uint8]:
-        """Return the rendered image as a new array, (H, W, 3) uint8."""
+        """Return the rendered image as a new uint8 array (H, W, 3)."""
         if isinstance(self._renderer, CPURenderer):
             return self._renderer.render(request)[..., :3].copy()
         assert self._canvas is not None

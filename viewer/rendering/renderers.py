@@ -61,13 +61,14 @@ class Renderer(Protocol):
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """(H, W) strength of the lines in the last image. Raises RuntimeError if the image has no style."""
+        """Strength of the lines in the last image, as an array (H, W). Raises RuntimeError if the image has no
+        style."""
 
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
         """Draw ``request`` into ``canvas``, at the image size of the request's camera.
 
-        If ``wait`` is True, the image shows the frame of ``request`` in its own depth order. If ``wait`` is False, the
-        frame and the depth order may be those of an earlier request.
+        If ``wait`` is True, the image shows the frame of ``request``, drawn in the depth order of ``request``. If
+        ``wait`` is False, the frame and the depth order may be those of an earlier request.
         """
 
     def release(self) -> None:

@@ -1,7 +1,8 @@
 #version 330 core
 // Geometry pass of dual depth peeling (Bavoil and Myers 2008). The rank of a disc is its position in depth order,
-// nearest first. Max blending of minus the rank and of the rank finds, in one pass, the nearest and the farthest
-// remaining layer of each pixel. Ranks replace depths, because two discs can have the same depth but not the same rank.
+// nearest first. Each fragment outputs two values: minus its rank, and its rank. Max blending keeps the maximum of each
+// value, so one pass finds both the nearest and the farthest remaining layer of each pixel. Ranks replace depths,
+// because two discs can have the same depth but not the same rank.
 #include "alpha.glsl"
 
 // The result of the previous pass in each pixel: minus the rank of the nearest layer, and the rank of the farthest

@@ -1,4 +1,4 @@
-// Function objects and indices that CUDA kernels for pairs of pixels share.
+// Function objects and indices, shared by the CUDA kernels that process pairs of neighbouring pixels.
 #pragma once
 
 #include "antialias/pairs.h"

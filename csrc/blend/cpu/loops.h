@@ -19,7 +19,7 @@ struct Sums {
 };
 
 struct Loops {
-    // Computes the logits of points [first, first + count) in all views. The argument count is at most kRun.
+    // Computes the logits of points [first, first + count) in all views. `count` is at most kRun.
     void (*forward)(const Mlp& mlp, const Inputs& inputs, std::size_t first, int count, float* logits);
 
     // Writes the gradients of Inputs::point and Inputs::samples. Adds the gradient of the MLP to `sums`.

@@ -1,4 +1,5 @@
-// Python bindings of the gradients of visibility edges on a GPU; fourd/ops/edge_gradients/op.py documents the operation.
+// Python bindings that compute the gradients of moving visibility edges on a GPU; fourd/ops/edge_gradients/op.py
+// documents the operation.
 #include <nanobind/stl/optional.h>
 
 #include "antialias/arguments.h"

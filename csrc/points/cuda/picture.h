@@ -6,7 +6,7 @@
 
 namespace fourd::points::cuda {
 
-// The inputs of all kernels that run over pixels.
+// The inputs that all kernels with one thread per pixel have in common.
 struct View {
     Entries entries;
     int width, height, layers;
@@ -31,8 +31,8 @@ struct DepthSum {
     FOURD_DEVICE float mean_behind() const { return behind / weight; }
 };
 
-// kCapacity must be at least the number of channels. Loops up to kCapacity have constant indices, so the compiler can
-// keep arrays in registers.
+// kCapacity must be at least the number of channels. Loops up to the constant kCapacity can be unrolled, so the
+// compiler can keep arrays in registers.
 template <int kCapacity>
 struct RenderPixel {
     View view;

@@ -40,7 +40,8 @@ class Bins {
     void cut(const Query& query, int first, std::size_t begin, std::size_t end, int part);
 
     int images_ = 0, columns_ = 0, tiles_per_image_ = 0;
-    // Number of images that have their own vertex positions, or 1 if all images share the positions.
+    // Number of sets of vertex positions: one for each image of the group, or a single one if all images share the
+    // positions.
     std::size_t vertex_images_ = 0;
     Buffer<Snapped> vertices_;
     // An item is one triangle of one image. first_item_ has the index of each image's first item.

@@ -26,7 +26,8 @@ struct Items {
 
     FOURD_DEVICE std::size_t image_of(std::uint64_t item) const { return item / longest_range; }
 
-    // Returns false if the item has no triangle, or if a vertex of its triangle is out of range.
+    // Loads the triangle of an item. Returns false if the item has no triangle, or if one of the triangle's vertex
+    // indices is out of range.
     FOURD_DEVICE bool load(const Screen& screen, std::uint64_t item, Triangle* out) const {
         const std::size_t image = image_of(item);
         std::size_t first = 0, count_of_image = query.triangles;

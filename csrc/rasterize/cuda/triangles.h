@@ -18,7 +18,7 @@ struct Triangle {
     FOURD_DEVICE bool is_clipped() const { return !all_inside(snapped[0], snapped[1], snapped[2]); }
 };
 
-// Returns false for a triangle with a vertex out of range.
+// Loads a triangle. Returns false if one of its vertex indices is out of range.
 FOURD_DEVICE static inline bool load_triangle(const Query& query, const Screen& screen, std::size_t image,
                                               std::size_t triangle, Triangle* out) {
     const float* const pos = query.pos_of(image);
@@ -61,8 +61,8 @@ FOURD_DEVICE static inline float depth_of(std::uint64_t key) {
     return depth;
 }
 
-// The buffer to which the kernels write the nearest triangle of each pixel. If `previous` is not null, only triangles
-// behind those in `previous` count (depth peeling).
+// The buffer to which the kernels write the nearest triangle of each pixel. If `previous` is not null, each pixel
+// ignores all triangles that are not behind its triangle in `previous` (depth peeling).
 struct Target {
     Screen screen;
     std::uint64_t* keys;    // Shape (images, height, width).

@@ -53,7 +53,8 @@ struct LeafBox {
 
 constexpr LeafBox kEmptyLeafBox = {{kInfinity, -kInfinity, kInfinity, -kInfinity, kInfinity, -kInfinity}};
 
-// Computes the bounds of all nodes from the bounds of the leaves. Returns the largest absolute coordinate.
+// Computes the bounds of all nodes from the bounds of the leaves. Returns the largest absolute coordinate of the
+// bounding box of the whole tree. Coordinates above kMaxMagnitude, such as those of an empty box, are ignored.
 float fill_bounds(Node* nodes, std::size_t node_count, const LeafBox* leaves);
 
 }  // namespace fourd::rays

@@ -42,7 +42,7 @@ struct ProjectTriangle {
     }
 };
 
-// The inputs of all kernels that run over pixels.
+// The inputs that all kernels with one thread per pixel have in common.
 struct View {
     Entries entries;
     Softness softness;

@@ -40,7 +40,7 @@ class EntryTable {
     EntryTable(const Bands& bands, std::size_t tasks, int workers)
         : bands_(bands.count), entries_(tasks), starts_(tasks * (bands_ + 1)), lists_(workers) {}
 
-    // Returns an empty list for the entries of one task.
+    // Returns an empty list, in the memory of the worker, to which the entries of one task can be appended.
     EntryList list(int worker) {
         List& list = lists_[worker];
         list.bands.require(kMaxEntries);

@@ -139,8 +139,9 @@ FOURD_INLINE void blend_weights(Batch& b, int slot) {
     }
 }
 
-// Makes a boundary mode a compile-time constant: with_boundary calls work(BoundaryTag<mode>()) for a mode that is known
-// only at run time, and `work` uses the constant `value` of the type of its argument.
+// Makes a boundary mode a compile-time constant. with_boundary receives a mode that is known only at run time, and
+// calls work(BoundaryTag<mode>()). Inside `work`, the member `value` of this tag is a compile-time constant equal to
+// the mode.
 template <Boundary boundary>
 struct BoundaryTag {
     static constexpr Boundary value = boundary;

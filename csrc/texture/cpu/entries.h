@@ -40,8 +40,8 @@ FOURD_INLINE void append(EntryList& list, std::uint32_t band, Entry entry) {
     list.entries[list.count++] = entry;
 }
 
-// Appends the entries of the pixels of a batch to `list`: one entry for each band that a pixel reads. `first` is the
-// index of the batch's first pixel in its task.
+// Appends the entries of a batch to `list`: for each pixel with a nonzero gradient, one entry per band from which the
+// pixel reads texels. `first` is the index of the batch's first pixel in its task.
 FOURD_INLINE void list_entries(const Query& query, const Batch& b, const float* gradient, const Bands& bands, int first,
                                EntryList& list) {
     const std::size_t channels = static_cast<std::size_t>(query.texture.shape.channels);

@@ -1,6 +1,7 @@
 """The training pixels of all plates, with measured or extrapolated depths.
 
-In this module, a cell is one sample of a plate's depth map. Each cell covers several pixels and stores a plane.
+In this module, a cell is one sample of a plate's depth map. Each cell covers several pixels and stores a plane in
+space, which gives the depth at each of these pixels.
 """
 
 from __future__ import annotations

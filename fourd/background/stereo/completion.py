@@ -1,7 +1,7 @@
 """Depth completion: extrapolate depths into depth-map cells that stereo does not measure.
 
 Floors and walls that enclose the scene are extended as planes until they meet other surfaces. In the remaining cells,
-inverse depth is interpolated harmonically.
+inverse depth is interpolated harmonically: each cell gets the weighted mean of its neighbours' values.
 """
 
 from __future__ import annotations
@@ -127,8 +127,8 @@ def _complete(
 
 
 def with_completed_depths(surface: Surface, inverse_depth: Array) -> Surface:
-    """Set the inverse depths (N,) of a surface's unknown cells, with support 0. Cells with inverse depth 0 stay
-    unknown."""
+    """Set the inverse depths (N,) of a surface's unknown cells, and set the support of these cells to 0. Cells with
+    inverse depth 0 stay unknown."""
     scores = np.where(surface.known, surface.depths.scores, 0).astype(np.float32)
     completed = DepthMap.from_inverse_depth(surface.depths.grid, inverse_depth, scores)
     depths = replace(completed, planes=np.where(surface.known[:, None], surface.depths.planes, completed.planes))

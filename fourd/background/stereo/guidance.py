@@ -19,11 +19,11 @@ from fourd.background.stereo.patches import Floats, GreyView
 Array = NDArray[np.float64]
 
 GUIDE_WEIGHT = 0.01
-"""Weight of the value 0 in the following mean. The correction (known inverse depth minus the guide's inverse depth) of
-an unknown cell is a weighted mean of the corrections of its neighbours, whose weights are at most 1, and of the value
-0. The value 0 makes the correction decay with the distance from known cells: with this weight, the correction halves
-every seven cells. If few cells are known, they are unreliable, and the correction must decay faster; therefore, the
-weight is divided by the square of the fraction of known cells."""
+"""Weight that makes corrections decay with the distance from known cells. The correction of a known cell is its inverse
+depth minus the guide's inverse depth. The correction of an unknown cell is a weighted mean of two kinds of values: the
+corrections of its neighbours, with weights of at most 1, and a constant 0, with GUIDE_WEIGHT. With this weight, the
+correction halves every seven cells. If few cells are known, they are unreliable, and the correction must decay faster;
+therefore, GUIDE_WEIGHT is divided by the square of the fraction of known cells."""
 MIN_GUIDE_FACTOR = 0.25
 """Minimum of the corrected inverse depth, as a multiple of the guide's inverse depth. It prevents the correction from
 making the inverse depth negative."""

@@ -18,7 +18,8 @@ BEST_ANGLE_DEG = 15.0
 ANGLE_SPREAD = 0.9
 """Half width at half maximum of a source camera's score, which is a bell-shaped function of ln(angle). The angle is
 measured at a point, between the rays to the source camera and to the reference camera. The score is 1 at 15 degrees,
-1/2 at 6 and at 37 degrees, and 1/7 at 130 degrees, for example if the two cameras see a floor from opposite sides."""
+and 1/2 at 6 and at 37 degrees. It is 1/7 at 130 degrees, an angle between two cameras that see a floor from opposite
+sides, for example."""
 MIN_GAIN = 0.01
 """The selection ends when no camera increases the objective, which :func:`select_sources` defines, by at least this
 value per sampled point."""

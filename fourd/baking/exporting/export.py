@@ -36,8 +36,8 @@ SUFFIXES: dict[Format, str] = {
     "ply": ".ply",
 }
 Y_UP: tuple[Format, ...] = ("spz", "glb", "usd")
-"""File formats in which the up direction is +y. In the other splat formats it is -y, and "ply" keeps the scene's
-axes."""
+"""File formats in which the up direction is +y. In the other formats of Gaussian splats, it is -y. The format "ply",
+which stores coloured points, keeps the scene's axes."""
 MEASURED_VIEWS, MEASURED_FRAMES = 4, 3
 """Maximum numbers of viewpoints and of frames for which the PSNR of an export is measured."""
 
@@ -111,10 +111,11 @@ def export_scene(scene: Scene, out: Path, settings: ExportSettings, track: Track
 
 
 def list_files(out: Path, settings: ExportSettings, manifest: SceneManifest) -> list[Path]:
-    """Return the files of the frames. If ``out`` has the suffix of the format, it is the only file. Otherwise, the
+    """Return the files of the frames. If ``out`` has the suffix of the format, ``out`` is the only file. Otherwise, the
     files are in the folder ``out``, or in ``out/frames`` for USD.
 
-    Each file name ends in the frame's number in the capture, so that other programs recognise the sequence.
+    In a folder, each file name ends in the frame's number in the capture, so that other programs recognise the
+    sequence.
     """
     suffix = SUFFIXES[settings.format]
     if out.suffix.lower() == suffix:

@@ -1,2 +1,2 @@
-"""Checked access to the ZIP archive and the JSON of a `.4dv`, which are untrusted input, and the encoding of packed
-scenes (scenes with quantised and compressed points)."""
+"""Checked access to the ZIP archive and the JSON of a `.4dv`, which are untrusted input. The package also
+defines the quantisation parameters of packed scenes (scenes with quantised and compressed points)."""

@@ -26,7 +26,8 @@ class PlayableMeshes:
 
     The class implements :class:`fourd.baking.playable.Playable`. To reduce flicker while the camera does not move, the
     lines of a style fade in, and their thresholds have a hysteresis, as in
-    :class:`fourd.baking.styled.player.StyledPlayer`. Unlike there, depths and normals are not averaged over time.
+    :class:`fourd.baking.styled.player.StyledPlayer`. Unlike in that class, depths and normals are not averaged over
+    time.
 
     Args:
         path: a GLB or PLY file, or a folder with one file for each frame.

@@ -98,7 +98,7 @@ def project(xyz: NDArray[np.float32], camera: Camera, scale: float) -> tuple[Flo
 
 
 def decode_image(content: bytes, camera: Camera, scale: float) -> ViewImage:
-    """Decode a stored image, after all sizes are checked.
+    """Check the sizes of a stored image, and then decode it.
 
     Raises:
         StreamError: if the image is damaged. The message has the form "expected ..., got ...".

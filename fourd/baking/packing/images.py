@@ -41,8 +41,8 @@ and then adds it to the plane. The first iterations blur most, to fill the gaps 
 _OPTIONS = {"b": "0", "lag-in-frames": "0", "deadline": "good", "cpu-used": "1", "aq-mode": "0"}
 """Options of libvpx-vp9: constant quality, and a packet for each frame."""
 _DAMPING = 0.02
-"""Regularisation that is added to the sum of the points' weights in each texel. It keeps the difference near 0 in
-texels with a small sum."""
+"""Regularisation that is added to the sum of the points' weights in each texel. If this sum is small, the
+regularisation keeps the texel's value, which is a difference from the points' mean colours, near 0."""
 _FROM_YCC = np.array([[1, 0, RED_FROM_CR], [1, GREEN_FROM_CB, GREEN_FROM_CR], [1, BLUE_FROM_CB, 0]], np.float64)
 _TO_YCC = np.linalg.inv(_FROM_YCC).astype(np.float32)
 """Matrix from red, green and blue to Y, Cb and Cr."""

@@ -36,8 +36,8 @@ class PackReport:
             "background", the total size, because the background is stored once.
         streamed: mean compressed size, in bytes per frame, of the members that a player fetches for one viewing camera:
             the members of ``manifest.neighbours`` source views, and all members that do not belong to a source view.
-        colour_psnr: PSNR, in dB, of the colours in the source views against those of the source scene. None if the tier
-            does not store these colours as images.
+        colour_psnr: PSNR, in dB, of the packed colours of the points in the source views against the original colours.
+            None if the tier does not store these colours as images.
     """
 
     bytes: int
@@ -206,7 +206,8 @@ def _select(cloud: BakedFrame, indices: NDArray[np.int64]) -> BakedFrame:
 
 
 def _conversion(manifest: SceneManifest, tier: Tier) -> tuple[Callable[[BakedFrame], BakedFrame], SceneManifest]:
-    """Return the function that converts a cloud for the tier, and the manifest of a packed scene without normals."""
+    """Return the function that converts a cloud for the tier, and the manifest of the packed scene, in which normals
+    are not listed as an attribute."""
     optional = tuple(name for name in manifest.optional_attributes if name != "normals")
     manifest = replace(manifest, optional_attributes=optional)
     if tier != "light" or manifest.view_count == 0:

@@ -20,8 +20,9 @@ from fourd.progress import Track, untracked
 def transcode_scene(
     source: Path, out: Path, storage: Storage, track: Track = untracked, *, has_normals: bool = False
 ) -> None:
-    """Write the packed scene ``source`` as ``out``, with another compression and another order of the members. The
-    frames of ``source`` are checked. If ``has_normals`` is True and ``source`` has no normals, they are estimated.
+    """Write the packed scene ``source`` as ``out``, with another compression and another order of the members. If
+    ``has_normals`` is True and ``source`` has no normals, they are estimated. Every frame of ``source`` is decoded, so
+    that damaged members are found.
 
     Raises:
         UserError: if ``source`` is damaged or is not a packed scene, or if ``out`` cannot be written.
@@ -52,7 +53,8 @@ def transcode_scene(
 
 
 def _contents(reader: SceneReader, folder: str, points: int, encoding: CloudEncoding) -> dict[str, bytes]:
-    """Return the decompressed contents of a cloud's members, which the reader must have checked."""
+    """Return the decompressed contents of a cloud's members. The caller must have read the cloud with ``reader``,
+    which checks the members."""
     manifest = reader.manifest
     optional = [item.nbytes(points, manifest.view_count) for item in manifest.attributes if item.is_optional]
     largest = max(points * max(encoding.code_bytes + 3, 2 * SH_NUMBERS), *optional, 0)

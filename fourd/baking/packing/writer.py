@@ -151,8 +151,8 @@ class PackedWriter:
         return text.ljust(self._manifest_room())
 
     def _overwrite_manifest(self, manifest: bytes) -> None:
-        """Overwrite the spaces that :meth:`__enter__` reserved with the manifest, and correct the manifest's checksum
-        in its ZIP header."""
+        """Write the manifest over the spaces that :meth:`__enter__` reserved for it, and correct the checksum in its
+        ZIP header."""
         with open_zip(self._temporary) as archive:
             header = archive.getinfo(MANIFEST_NAME).header_offset
         with self._temporary.open("rb+") as stream:

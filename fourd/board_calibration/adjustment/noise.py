@@ -196,8 +196,8 @@ def _independent(views: Views, grams: Array, before: Array) -> Array:
 
 
 def _mean_squares(views: Views, grams: Array, noise: ViewNoise, weights: Weights) -> Array:
-    """Return the expected squares (3,) of the views' rotations, shifts and delays, divided by the variances in
-    ``noise``."""
+    """Return the expected squares (3,) of the three kinds of shared errors (rotation, shift and delay), averaged over
+    the views and divided by the variances in ``noise``."""
     std = noise.shared_std
     total, count = np.zeros(SHARED), 0
     pose, last = BOARD_PARAMETERS, BOARD_PARAMETERS + SHARED

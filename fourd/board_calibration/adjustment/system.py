@@ -26,7 +26,7 @@ class Free:
     """The unknowns that are adjusted in addition to the positions of the board.
 
     Attributes:
-        cameras: (C, 17) mask of the cameras' parameters.
+        cameras: (C, 17) mask of the cameras' parameters, true for those that are adjusted.
         offset_std_m: (K, 3) standard deviations of the prior on the corners' displacements on the board. The mean of
             the prior is 0. K is 0 if displacements are not adjusted.
         thickness: whether the thickness of the board is adjusted.

@@ -118,11 +118,11 @@ def match_capture(path: Path | str, track: Track | None = None) -> CaptureMatche
 def _match_unmatched(
     pictures: Sequence[Picture], cameras: Sequence[Camera], matches: Mapping[Pair, Matches]
 ) -> dict[Pair, Matches]:
-    """Match each camera without matches again, this time with all other cameras, because its calibration may be so
-    wrong that its neighbours were chosen wrongly.
+    """Match those cameras once more that have too few matches in every pair, this time with all other cameras. Their
+    calibrations may be so wrong that their neighbours were chosen wrongly.
 
-    This is done only if at least two cameras, but at most a quarter of all cameras, have no matches. It is not needed
-    for up to 8 cameras, because all their pairs have been matched.
+    This is done only if at least two cameras, but at most a quarter of all cameras, have too few matches. It is not
+    needed for up to 8 cameras, because all their pairs have been matched.
     """
     used = {index for pair, found in matches.items() if len(found) >= MIN_MATCHES for index in pair}
     lone = [index for index in range(len(cameras)) if index not in used]

@@ -38,7 +38,7 @@ PLATES_HELP = (
 @dataclass(frozen=True)
 class Arguments:
     """The command prints mean PSNR, SSIM and LPIPS, for whole images and inside the matte's bounding box. For a scene
-    with background, it also prints the PSNR of the pixels whose surface is visible in a training view."""
+    with background, it also prints the PSNR without background surfaces that no training view shows."""
 
     run: RunPath
     """Run folder."""
@@ -142,8 +142,8 @@ def _fit_cameras(
 def _covisible_masks(
     trained: TrainedRun | SegmentedRun, indices: list[int], fitted: dict[int, FittedView], console: Console
 ) -> dict[int, NDArray[np.bool_]]:
-    """Return, for each evaluated camera of a scene with background, the mask (H, W) of the pixels whose background is
-    visible in a training view. For a scene without background, the result is empty."""
+    """Return, for each evaluated camera of a scene with background, the mask (H, W) of the pixels at which the surface
+    of the background is visible in a training view. For a scene without background, the result is empty."""
     if isinstance(trained, SegmentedRun) or trained.renderer.background is None:
         return {}
     cameras = {i: fitted[i].camera if i in fitted else trained.run.capture.cameras[i] for i in indices}

@@ -100,8 +100,11 @@ def _open(arguments: Arguments, source: Location) -> Playable:
 
 
 def _through_lens(arguments: Arguments, path: Location, playable: Playable, frames: list[int]) -> Playable:
-    """Return the scene as seen through the lens that the arguments describe. The mirror floor lies under the subject's
-    lowest points in the first and the middle rendered frame."""
+    """Return the scene as seen through the lens that the arguments describe.
+
+    The mirror floor and an automatically placed glass ball are positioned relative to the subject's points in two of
+    the rendered frames: the first and the middle one.
+    """
     if arguments.style is not None:
         raise UserError("--style, --lens: expected one of them, got both; styles are not drawn through a lens")
     if isinstance(path, Path) and is_mesh(path):

@@ -64,9 +64,9 @@ def looks_like(source: Path) -> bool:
 def read(source: Path) -> Imported:
     """Read the cameras of ``source``.
 
-    If the entries have no times, each entry is a camera. If they have times, the entries of one folder form a camera,
-    provided that in every folder all entries have the same pose and intrinsics. Otherwise, the entries with the same
-    pose and intrinsics form a camera.
+    If the entries have no times, each entry is a camera. If they have times, the entries of each folder form a camera,
+    provided that no folder contains different poses or intrinsics, and that the folder names are unique and not empty.
+    Otherwise, the entries with the same pose and intrinsics form a camera.
 
     Raises:
         UserError: when the JSON is invalid, a value is missing or invalid, a lens is a fisheye, a path is outside the
@@ -176,8 +176,8 @@ def _find_picture(path: Path, where: str, value: object) -> tuple[PurePosixPath,
 def _single(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
     """Make a camera of each entry.
 
-    Each camera is named after its image file. If file names are not unique, the cameras are named after the folders of
-    the images, and if folder names are not unique either, after the paths of the images.
+    Each camera is named after its image file. If the file names are not unique, the cameras are named after the folders
+    of the images. If the folder names are not unique either, the cameras are named after the paths of the images.
     """
     stems = [entry.path.name if entry.picture.name != entry.path.name else entry.path.stem for entry in entries]
     folders = [entry.path.parent.name for entry in entries]

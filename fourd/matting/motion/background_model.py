@@ -33,11 +33,11 @@ LOG_TWO_PI = float(np.log(2 * np.pi))
 
 @dataclass(frozen=True)
 class Deviations:
-    """Fractions of the background pixels whose colour differs from the background model.
+    """How large a fraction of the background pixels differs in colour from the background model, for two reasons.
 
     Attributes:
-        shaded: fraction in (0, 1) of background pixels in shadow or in reflected light.
-        changed: fraction in (0, 1) of background pixels whose colour differs from the model for other reasons than
+        shaded: fraction in (0, 1) of the background pixels that are in shadow or in reflected light.
+        changed: fraction in (0, 1) of the background pixels whose colour differs from the model for other reasons than
             shadow and light.
     """
 
@@ -169,7 +169,7 @@ def fit_background(rgb: Picture, weights: Floats, noise: float) -> BackgroundMod
 
 
 def _match(difference: Floats, noise: float) -> Floats:
-    """Convert colour differences (..., 3) to similarities (...,) in [0, 1]: about 1 if the difference is within the
-    noise."""
+    """Convert colour differences, an array of shape (..., 3), to similarities in [0, 1]: about 1 if the difference is
+    within the noise. The result lacks the last axis."""
     spread = 2.5 * noise + 3
     return np.asarray(np.exp(-channel_sum(np.square(difference)) / np.float32(6 * spread**2)), np.float32)

@@ -15,7 +15,8 @@ Picture = NDArray[np.uint8]
 BINS = 24
 SPREAD_BINS = 0.8
 UNIFORM = 0.02
-"""Weight of the uniform distribution in the mixture, so that unobserved colours have a positive density."""
+"""Each histogram is mixed with the uniform distribution, which has this weight, so that unobserved colours have a
+positive density."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +42,7 @@ class ColourHistogram:
         return ColourHistogram(np.log(density).astype(np.float32))
 
     def log_likelihood(self, rgb: Picture) -> Floats:
-        """Return the log densities (...,) at colours (..., 3) uint8."""
+        """Return the log density of each colour in ``rgb``, a uint8 array whose last axis has the three channels."""
         return self.log_density.ravel()[bin_indices(rgb, BINS)]
 
 
@@ -55,6 +56,9 @@ def log_density(shares: NDArray[np.floating], bins: int) -> Floats:
 
 
 def bin_indices(rgb: Picture, bins: int) -> NDArray[np.int32]:
-    """Return the indices (...,) of colours (..., 3) into a flattened RGB histogram of ``bins`` ** 3 bins."""
+    """Return, for each colour in ``rgb``, an array of shape (..., 3), its index into a flattened RGB histogram.
+
+    The histogram has ``bins`` bins along each colour axis.
+    """
     bin_rgb = (rgb.astype(np.int32) * bins) >> 8
     return np.asarray((bin_rgb[..., 0] * bins + bin_rgb[..., 1]) * bins + bin_rgb[..., 2], np.int32)

@@ -27,9 +27,9 @@ is unknown."""
 MAX_MOTION_LOG_ODDS = np.float32(2.0)
 OFF_HULL_LOG_ODDS = np.float32(-4.0)
 HULL_THRESHOLD = np.float32(-1.5)
-"""A voxel belongs to the other views' hull if its score is above this value. The score is about the lowest log-odds
-that the voxel has in the other views. The threshold is below 0, because single views often give slightly negative
-log-odds on the subject."""
+"""A voxel belongs to the other views' hull if its score is above this value. The score is approximately the lowest
+log-odds that the voxel has in the other views. The threshold is below 0, because single views often give slightly
+negative log-odds on the subject."""
 HULL_RANGE = np.float32(4.0)
 """The evidence of the hull grows with the score of a voxel, from 0 at HULL_THRESHOLD to its maximum at HULL_THRESHOLD +
 HULL_RANGE."""
@@ -59,7 +59,7 @@ class Appearance:
         surround: colours of the background near the subject.
         region: (h, w) bool mask that contains the subject in all frames.
         still_px: length in pixels of the optical flow of static pixels.
-        deviations: fractions of the background pixels whose colour differs from the background model.
+        deviations: how large a fraction of the background pixels differs in colour from the background model.
     """
 
     background: BackgroundModel

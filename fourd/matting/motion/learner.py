@@ -45,8 +45,8 @@ pixels may show parts of the subject that the hull misses.
 CERTAIN_CONFIDENCE = 0.9
 MIN_CONFIRMATION = np.float32(0.03)
 TRUST_SLOPE = np.float32(5.0)
-"""If a low probability p of the subject is sufficient evidence for background, a pixel counts as background with at
-least the weight max(0, 1 - TRUST_SLOPE * p)."""
+"""If the argument ``is_trusted`` of :meth:`Learner.update` is true, each pixel counts as background with at least the
+weight max(0, 1 - TRUST_SLOPE * p), where p is the probability that the pixel shows the subject."""
 
 
 @dataclass(eq=False)

@@ -28,7 +28,8 @@ MIN_CONFIDENCE = 0.9
 SUBJECT_LOG_ODDS = np.float32(2.0)
 """A pixel's colour counts as a colour of the subject if the pixel's log-odds are above this value."""
 GLOBAL_SHARE = 0.15
-"""Weight in [0, 1] of the subject's colours from the whole recording in the mixture with the subject's local colours.
+"""The subject's colour distribution at a pixel is a mixture of two: the distribution of its local colours, and the
+distribution of its colours in the whole recording. GLOBAL_SHARE is the weight, in [0, 1], of the latter.
 
 The local colours come only from nearby pixels that certainly show the subject. Without the mixture, a part of the
 subject would be missed if none of these pixels has its colour.

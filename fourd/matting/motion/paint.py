@@ -83,7 +83,7 @@ def read_strokes(paints: Sequence[Paint], capture: Capture, cameras: Sequence[Ca
     """Read painted images at the size of the reduced ``cameras``.
 
     Args:
-        paints: painted images, aligned with the recorded images.
+        paints: painted images, which match the recorded images pixel for pixel.
         capture: the whole capture.
         cameras: undistorted cameras of the size at which log-odds are computed.
 

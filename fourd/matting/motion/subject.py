@@ -1,10 +1,10 @@
 """Learning of subject and background models without a network.
 
 The models are learned by expectation maximisation over a few frames of all cameras. Motion initialises the models:
-moving pixels are the subject. A pixel's background is its most frequent colour in frames without motion, unless that
-colour is typical of the subject. The E-step combines the evidence of a pixel's own camera with the visual hull of the
-other cameras (:mod:`fourd.matting.motion.agreement`), so a subject that is static in one view is found with the help of
-the other views.
+moving pixels are the subject. A pixel's background is its most frequent colour in the frames in which the pixel
+shows no motion, unless that colour is typical of the subject. The E-step combines the evidence of a pixel's own camera
+with the visual hull of the other cameras (:mod:`fourd.matting.motion.agreement`), so a subject that is static in one
+view is found with the help of the other views.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ LOCAL_ITERATIONS = 2
 """Number of additional iterations after the first ITERATIONS iterations. Their E-step also uses local
 colours (:mod:`fourd.matting.motion.local_evidence`). In their M-step, a pixel with a low probability of the subject
 counts as background even if it lies inside the visual hull of the other views. The background between the subject's
-limbs, which the hull often covers, thus becomes known. The first additional iteration makes the subject's edges more
-accurate. With these edges, the second also finds background that is visible only while the subject is directly beside
-it."""
+limbs thus becomes known, although the hull often covers it. The first additional iteration makes the subject's edges
+more accurate. The second additional iteration uses these edges, and also finds background that is visible only while
+the subject is directly beside this background."""
 MIN_REGION_PIXELS = 20
 """Minimum number of changing pixels. If every camera has fewer changing pixels, the capture has no moving subject."""
 COARSE_CELLS = (48, 64, 64)

@@ -96,7 +96,8 @@ def _append_frame(document: dict[str, Any], file: GlbFile, offset: int, index: i
 
 
 def _append_keyframes(document: dict[str, Any], count: int, fps: float, offset: int) -> bytes:
-    """Append the animation to the document, and return the bytes of its keyframes, to be stored at ``offset``.
+    """Append the animation to the document, and return the bytes of its keyframes, which the caller must write at the
+    byte ``offset`` of the file's binary part.
 
     Frame i is shown from i / fps to (i + 1) / fps. The last keyframe of each node is at the end of
     the animation, so that all nodes have the same duration and the animation repeats only after the last frame.

@@ -22,8 +22,8 @@ from fourd.raster.triangles import antialias, interpolate, rasterize
 
 MAX_OFFSET_CELLS = 0.4
 """Maximum offset of a grid vertex along each axis, in units of the side length of the cubes from which the tetrahedral
-grid is built. It keeps each vertex near its position in the undeformed grid, where neighbouring vertices are at least
-0.87 cube sides apart."""
+grid is built. This limit keeps each vertex near its position in the undeformed grid, where neighbouring vertices are at
+least 0.87 cube sides apart."""
 
 DEPTH_STEPS = 20
 """Number of gradient steps after which the depth images of all views are rendered again. They determine which points

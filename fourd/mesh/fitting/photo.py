@@ -17,7 +17,8 @@ angle and are not compared."""
 
 DEPTH_TOLERANCE_PX = 3.0
 """Tolerance of the visibility test. A point that lies behind the surface in a view's depth image still counts as
-visible if the depth difference is at most the length on the surface that this number of pixels covers there."""
+visible if its depth exceeds the surface's depth by at most a length L. L is the length of a line on the surface that
+crosses this number of the view's pixels at the point."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -116,7 +116,10 @@ def _tetrahedra_along(cubes: NDArray[np.int64], axis: int) -> NDArray[np.int64]:
 
 
 def _keys(positions: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Pack the three coordinates of each integer position (..., 3) into one integer, a key that identifies it."""
+    """Pack the three coordinates of each integer position into one integer, a key that identifies the position.
+
+    The last axis of ``positions`` has the three coordinates. The result lacks this axis.
+    """
     x, y, z = np.moveaxis(positions, -1, 0)
     return (x << (2 * _KEY_BITS)) | (y << _KEY_BITS) | z
 

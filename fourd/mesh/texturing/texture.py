@@ -80,7 +80,8 @@ def texture_mesh(
 def colour_mesh(
     xyz: NDArray[np.float32], triangles: NDArray[np.integer], views: Sequence[MeshView]
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Compute a mesh's vertex colours from the views of its frame, as :func:`texture_mesh` computes texel colours.
+    """Compute a mesh's vertex colours from the views of its frame, with the method with which :func:`texture_mesh`
+    computes texel colours.
 
     Args:
         xyz: (N, 3) vertices in world units.

@@ -47,7 +47,7 @@ class Occluder:
         """Return a mask (P,) that is true for points that the mesh hides from a camera. A point also counts as hidden
         if the mesh hides the surface half a pixel beside it.
 
-        Rays start in the point's tangent plane, moved outwards by ``offset``.
+        Rays start in a plane that is parallel to the point's tangent plane and lies ``offset`` outside the surface.
 
         Args:
             xyz: (P, 3) points on the mesh, in front of the camera.
@@ -67,9 +67,11 @@ class Occluder:
             height = (towards * normal).sum(axis=1)
             with np.errstate(divide="ignore", invalid="ignore"):
                 t = ((start - centre) * normal).sum(axis=1) / height
-            # The traced ray starts where the line from the camera through a corner of the square (see CORNERS_PX) meets
-            # the tangent plane, at ``centre + t * towards``. Near the contour, the two meet far away or not at all, so
-            # t is clamped to keep the ray's origin near the point. At t = 1, the origin has the depth of ``start``.
+            # ``start`` is the point, moved outwards by ``offset``. The traced ray starts where the line from the camera
+            # through a corner of the square (see CORNERS_PX) meets the plane through ``start``, at
+            # ``centre + t * towards``.
+            # Near the contour, the two meet far away or not at all, so t is clamped to keep the ray's origin near the
+            # point. At t = 1, the ray's origin has the same camera depth as ``start``.
             t = np.where(np.isfinite(t), t, 1).clip(0.5, 2).astype(np.float32)
             origins = centre + t[:, None] * towards
             rays = torch.from_numpy(origins), torch.from_numpy(centre - origins)

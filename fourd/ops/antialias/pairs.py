@@ -75,7 +75,8 @@ def find_pairs(rast: Tensor, triangles: int, axis: int) -> Pairs:
 
 
 def see(pairs: Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
-    """Return the clip coordinates (N, K, 3) of the vertices with indices (N, K): along the pair, across it, and w.
+    """For each pair, return three clip coordinates (N, K, 3) of the vertices with indices (N, K): the coordinate along
+    the pair, the coordinate across it, and w.
 
     The first two are relative to the centre of the pair's owner (the pixel whose triangle is nearer): both are 0 for a
     vertex that projects to this centre.

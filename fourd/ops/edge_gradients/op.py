@@ -1,5 +1,5 @@
 """Gradients that arise because visibility edges move with the vertices: the operator
-``torch.ops.fourd.edge_gradients``, and its use in backward passes.
+``torch.ops.fourd.edge_gradients``, and a function that adds these gradients in the backward pass of an image.
 
 The public API, which checks the arguments and selects the backend, is :mod:`fourd.raster.triangles.visibility_edges`.
 """

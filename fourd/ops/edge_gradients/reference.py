@@ -118,8 +118,9 @@ def _intersect(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
 
 
 def _crossing_of_intersection(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
-    """Return the distance (N,), in pixels, from the centre of the owner (the pixel whose triangle is nearer) to the
-    point where the triangles of both pixels have the same depth z/w, which is linear in the image position."""
+    """Return the distance (N,), in pixels, along the pair from the centre of the owner (the pixel whose triangle is
+    nearer) to the point where the triangles of both pixels have the same depth z/w. The depth z/w of a triangle is
+    linear in the image position."""
     one = _planes_of(pairs, clip, tri, pairs.triangle)
     two = _planes_of(pairs, clip, tri, pairs.other_triangle)
     return (one.depth - two.depth) / (one.fall - two.fall)

@@ -20,7 +20,8 @@ MAX_RESOLUTION = 2**20
 
 @dataclass(frozen=True)
 class HashGridShape:
-    """Sizes of a hash grid. The brackets contain the symbols of Mueller et al. 2022.
+    """Sizes of a hash grid. In the descriptions of the fields, the symbols in parentheses are those of Mueller et al.
+    2022.
 
     Raises:
         ValueError: for an invalid field, with a message that names the field and the expected value.
@@ -54,7 +55,7 @@ class HashGridShape:
     def resolutions(self) -> tuple[int, ...]:
         """Number of cells per side of every level: a geometric progression from ``coarsest`` to ``finest``.
 
-        A single level has ``coarsest`` cells per side.
+        If the grid has only one level, this level has ``coarsest`` cells per side.
         """
         growth = math.log(self.finest / self.coarsest) / max(self.levels - 1, 1)
         # The term 1e-6 prevents rounding errors from making the last level one cell smaller than ``finest``.

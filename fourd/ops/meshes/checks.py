@@ -11,7 +11,8 @@ MAX_SIDE_PX = 2**15
 """Maximum width or height of an image. Subpixel positions in larger images would overflow the kernels' integers."""
 
 ALL_LAYERS = 2**20
-"""Maximum number of composited triangles per pixel that stands for no limit: all triangles are composited."""
+"""Largest accepted limit of the number of composited triangles per pixel. It is also used if the caller passes None for
+"no limit"."""
 
 Axis = int | str
 """The size of an axis, or a letter that stands for any size."""
@@ -32,8 +33,8 @@ def check_tensor(
         value: the argument. Its elements are not checked.
         shape: expected shape. A letter stands for any size, including 0. Axes with the same letter may have different
             sizes.
-        like: name and value of a reference argument. ``value`` must be on its device and, if the reference has a
-            floating-point dtype, also have its dtype.
+        like: name and value of a reference argument. ``value`` must be on the reference's device. If the reference has
+            a floating-point dtype, ``value`` must have the same dtype.
         dtypes: accepted dtypes, ignored if ``like`` has a floating-point dtype.
 
     Raises:
@@ -67,7 +68,8 @@ def check_triangles(tri: object, vertices: int, like: tuple[str, Tensor], *, che
             GPU.
 
     Raises:
-        TypeError, ValueError: with a message that names the argument and an index that is out of range.
+        TypeError, ValueError: for a wrong type, shape, dtype or device, for too many triangles, or for an index that is
+            out of range. The message names the argument, the expected value and the found value.
     """
     if not isinstance(tri, Tensor):
         raise TypeError(f"tri: expected a torch.Tensor, got {type(tri).__name__}")

@@ -132,7 +132,7 @@ def _composite(
     transmittance, total, offset, colour = zero + 1, zero, zero, zero[:, None].expand(-1, features.shape[1])
     # The nearest depth is subtracted before the depths are averaged, and added again after. Without the subtraction,
     # the division by a small weight would amplify a rounding error in pixels with one layer. Autograd may treat the
-    # nearest depth as a constant, because the result and its gradient do not depend on it.
+    # subtracted depth as a constant, because the mean depth and its gradient are the same for any subtracted constant.
     nearest = torch.where(chosen.valid, local.z, 0)[:, :1].detach().sum(dim=1)
     weights = []
     for k in range(alphas.shape[1]):

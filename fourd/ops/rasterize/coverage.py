@@ -100,7 +100,8 @@ def _polygon(points: NDArray[np.float32], width: int, height: int) -> tuple[list
 
 
 def _guard(side: int) -> int:
-    """Return the ratio of the guard band's side length to the image's side length ``side`` in pixels, a power of two.
+    """Return the ratio of the guard band's side length to the image's side length ``side``, which is in pixels. The
+    ratio is a power of two.
 
     The guard band is the rectangle around the image at which triangles are clipped. It extends at most 2^16 pixels from
     the image's centre.

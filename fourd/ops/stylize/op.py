@@ -24,8 +24,8 @@ def stylize_surface(
         parameters: the style for the surface's camera.
         line_state: (H, W) uint32 line state of the previous image from the same camera, or None. It is overwritten with
             the state of the new image. Pass zeros for the first image from a camera. The lowest byte of an element is
-            the line strength. The upper 16 bits are those of a float32, the sum of the inverse depths at the nine taps
-            of the line filter.
+            the line strength. The upper 16 bits of an element are the upper 16 bits of a float32 number: the sum of the
+            inverse depths at the nine taps of the line filter.
         threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
         out: C-contiguous (H, W, 4) uint8 array to draw into. If None, a new array is allocated.
 

@@ -7,7 +7,7 @@ performs these steps:
 - Closing gaps. Points leave gaps through which a farther surface is visible. A pixel is in a gap if nearer surfaces
   lie on both sides of it, in its row or in its column, at most three pixels away. Of these two surfaces, the pixel
   gets the depth and the normal of the farther one.
-- Tone t = (1 + N.L) / 2 and detail d. The style selects d = N.V, clamp(o + p * z) or clamp(\\|o + p * z\\|), where o is
+- Tone t = (1 + N.L) / 2 and detail d. The style selects d = N.V, clamp(o + p * z) or clamp(abs(o + p * z)), where o is
   ``detail_offset`` and p is ``detail_per_depth`` of :class:`Numbers`.
 - Colour C = S(t, d) * (a + b * F) + c * F, where S is the shade table, and a, b and c are ``table_alone``,
   ``table_times_albedo`` and ``albedo_alone``. Toon and X-Toon styles (Barla et al. 2006) have c = 0, and only in X-Toon
@@ -24,7 +24,8 @@ performs these steps:
   no surface, because it then belongs to the subject's outline.
 - Specks, which are very short lines, are not drawn. Consider the squares around a pixel with sides of 2, 4, 8, ...,
   2 * r pixels, where r is the result of ``speck_reach``. The line at the pixel is drawn only if each of these squares
-  has a line of at least the strength LEAST_STRENGTH on its sides. The line state still contains the specks.
+  has a line of at least the strength LEAST_STRENGTH on one or more of its sides. The line state still contains the
+  specks.
 - Output image. C is composited over the paper with opacity s, and the line colour over the result with opacity
   ``line_opacity`` * e.
 
@@ -65,9 +66,9 @@ m = 0, and strength 0 at m = 1 / FRONT_SLOPE."""
 
 
 def speck_reach(thickness: int) -> int:
-    """Return half the side length, in pixels, of the largest square that is searched around a pixel for specks. A line
-    that does not reach the sides of this square is a speck. The result is the largest power of 2 that is at most
-    ``4 * (thickness + 1)``.
+    """Return half the side length, in pixels, of the largest square around a pixel that is used to find specks. A line
+    at the pixel that does not reach the sides of this square is a speck. The result is the largest power of 2 that is
+    at most ``4 * (thickness + 1)``.
     """
     return 1 << (4 * (thickness + 1)).bit_length() - 1
 

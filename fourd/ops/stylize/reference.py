@@ -81,8 +81,8 @@ def remove_specks(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
     """Remove very short lines (specks) from the strengths (H, W).
 
     Consider the squares around a pixel with sides of 2, 4, 8, ..., ``2 * reach`` pixels. The pixel's line stays if each
-    of these squares has a line of at least LEAST_STRENGTH on its sides. Pixels outside the image have no lines. The
-    largest square alone is not enough, because another speck can lie on its sides.
+    of these squares has a line of at least LEAST_STRENGTH on one or more of its sides. Pixels outside the image have no
+    lines. The largest square alone is not enough, because another speck can lie on its sides.
     """
     kept, half = lines, 1
     while half <= reach:
@@ -92,8 +92,8 @@ def remove_specks(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
 
 
 def _strongest_around(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
-    """For each pixel, consider the square around it with a side length of ``2 * reach`` pixels. Return the strengths
-    (H, W) of the strongest lines on the sides of these squares."""
+    """For each pixel, consider the square around it with a side length of ``2 * reach`` pixels. Return the strength
+    (H, W) of the strongest line on the four sides of this square."""
     padded = np.pad(lines, reach)
     side = 2 * reach + 1
     columns = sliding_window_view(padded, side, axis=0).max(-1)  # (H, W + 2 * reach)
@@ -103,9 +103,9 @@ def _strongest_around(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]
 
 
 def front_weight(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Return a point's weight in the mean depth and the mean normal of a visible surface. ``cosine`` is the cosine of
-    the angle between the point's normal and the direction to the camera. The weight is small for the backs of surfaces,
-    so they matter only where no other points are visible."""
+    """Return the factor by which a point's weight is multiplied in the mean depth and the mean normal of a visible
+    surface. ``cosine`` is the cosine of the angle between the point's normal and the direction to the camera. The
+    factor is small for the backs of surfaces, so they matter only where no other points are visible."""
     return BACK_WEIGHT + (1 - BACK_WEIGHT) * np.clip(0.5 + 5 * cosine, 0, 1)
 
 
@@ -150,8 +150,8 @@ def find_lines(surface: Surface, parameters: StyleParameters, line_state: NDArra
 
 
 def _seen_bits(surface: Surface, thickness: int) -> NDArray[np.uint32]:
-    """Return the float32 sum of the inverse depths at the nine taps of the line filter, as the bits of a uint32 (H, W)
-    with the lower 16 bits set to 0."""
+    """Return the bits (H, W) uint32 of a float32 number: the sum of the inverse depths at the nine taps of the line
+    filter. The lower 16 bits are set to 0."""
     depth, shift = surface.inverse_depth, _Shift(thickness)
     corners = (shift(depth, -1, -1) + shift(depth, -1, 1)) + (shift(depth, 1, -1) + shift(depth, 1, 1))
     arms = (shift(depth, -1, 0) + shift(depth, 1, 0)) + (shift(depth, 0, -1) + shift(depth, 0, 1))

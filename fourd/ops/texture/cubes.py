@@ -22,7 +22,8 @@ def face_axes(like: Tensor) -> Tensor:
 
 
 def face_of(direction: Tensor) -> Tensor:
-    """Return the index of the face that a ray in each direction (..., 3) meets.
+    """Return the index of the face that a ray from the cube's centre in each direction meets. The last axis of
+    ``direction`` has the three coordinates, and the result lacks this axis.
 
     A ray through an edge or a corner of the cube meets several faces. The x face has priority over the y face, and the
     y face over the z face.
@@ -35,7 +36,9 @@ def face_of(direction: Tensor) -> Tensor:
 
 
 def project(direction: Tensor, face: Tensor) -> Tensor:
-    """Return the positions (..., 2) in [0, 1] where rays in directions (..., 3) meet their faces.
+    """Return the positions, with coordinates in [0, 1], where rays from the cube's centre meet their faces.
+
+    The last axis of ``direction`` has three coordinates, and the last axis of the result has two.
 
     The positions are differentiable in the directions.
     """

@@ -82,8 +82,8 @@ def _mip_level(
 
 
 def _projected(direction: Tensor, face: Tensor, derivatives: Tensor) -> Tensor:
-    """Return the derivatives (..., 2, 2) of the position on a face. ``derivatives`` (..., 3, 2) are the derivatives of
-    the direction."""
+    """Return the derivatives of the position on a face, a matrix 2 x 2 in the last two axes of the result. The last
+    two axes of ``derivatives`` contain the derivatives of the direction, a matrix 3 x 2."""
     axes = face_axes(direction)[face]
     a, b, m = (axes @ direction[..., None]).unbind(-2)
     a_d, b_d, m_d = (axes @ derivatives).unbind(-2)

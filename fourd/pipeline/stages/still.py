@@ -1,8 +1,8 @@
 """Still scenes: scenes that consist only of a background, made from one frame or from a recording in which nothing
 moves.
 
-The given capture is not changed. A new folder gets links to its files, and empty mattes, so that each image is the
-clean plate of its camera. The frames of the run have no foreground points.
+The given capture is not changed. A new folder gets links to this capture's files, and empty mattes, so that each
+image is the clean plate of its camera. The frames of the run have no foreground points.
 """
 
 from __future__ import annotations

@@ -37,8 +37,9 @@ OWN = ".stored"
 
 @dataclass(frozen=True)
 class Started:
-    """The mark of a stage that was started on this machine: the stage's key, its field ``leftovers``, and the states of
-    all files before the start. A file's state is a text that changes with the file; see :meth:`Cache.states`."""
+    """The mark of a stage that was started on this machine: the stage's key, its field ``leftovers``, and the states,
+    before the start, of the files in the folders to which the stage writes, except the stage's own files. A file's
+    state is a text that changes with the file; see :meth:`Cache.states`."""
 
     key: str
     before: Mapping[str, str]
@@ -90,8 +91,9 @@ class Cache:
         self._copy(name).unlink(missing_ok=True)
 
     def own_paths(self, name: str, folders: Sequence[Path]) -> set[str]:
-        """Return the paths of a stage's files and links in ``folders``: those that earlier executions on this machine
-        wrote, or those that were copied to this machine because the stage's manifest lists them."""
+        """Return the paths of a stage's files and links. If the stage has a mark (see :meth:`started`), these are the
+        files and links in ``folders`` whose states differ from those in the mark, or are missing in it. Otherwise, they
+        are the files and links that were copied to this machine or published from it."""
         started = self.started(name)
         if started is None:
             return self._copied(name)
@@ -251,7 +253,8 @@ class Cache:
             return set()
 
     def _is_behind_link(self, path: str) -> bool:
-        """Return True if a parent folder of a path is a symbolic link, so that the file belongs to another folder."""
+        """Return True if a parent folder of a path is a symbolic link. The file at this path is then not in the local
+        copy, but in the folder to which the link points."""
         return any((self.root / parent).is_symlink() for parent in Path(path).parents)
 
     def _mark(self, name: str) -> Path:

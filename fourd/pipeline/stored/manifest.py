@@ -68,8 +68,9 @@ class Manifest:
 
 
 def file_state(path: str, size: int, changed_ns: int) -> str:
-    """Return a text that changes when a file changes. For the config of a run, it leaves out the file size, which
-    differs between machines because the config contains the path of the capture."""
+    """Return a text with the size and the time of the last change of a file, so that the text changes when the file
+    changes. For the config of a run, the text leaves out the size, which differs between machines because the config
+    contains the path of the capture."""
     return f"{0 if is_config(path) else size} {changed_ns}"
 
 
@@ -87,7 +88,8 @@ def parse_manifest(content: bytes, url: StorageUrl) -> Manifest:
     """Read a manifest from the object ``url``.
 
     Raises:
-        UserError: if the object is not a manifest, or if it contains paths that could be outside the folder.
+        UserError: if the object is not a manifest, has another format version, or lists a path that could be outside
+            the folder for intermediate results, or a link that no stage makes.
     """
     try:
         values = json.loads(content)

@@ -140,9 +140,9 @@ def _prepare(
         fetch_source(files.source, cache.root, track)
     cache.copy(files.store, needs, track)
     if started is None:
-        # Files in ``before`` are not published if the stage leaves them unchanged. The stage's own files must always be
-        # published, so ``before`` excludes them: the files of its earlier executions on this machine, and the files
-        # that it uploaded when it ran on another machine.
+        # ``before`` contains the files that exist before the stage starts. They are published only if the stage changes
+        # them. The stage's own files must always be published, so ``before`` excludes them: the files of its earlier
+        # executions on this machine, and the files that it uploaded when it ran on another machine.
         uploaded = unfinished.fetch(context.log, track) if unfinished is not None else None
         own |= set(uploaded.states()) if uploaded is not None else set()
         before = {path: state for path, state in cache.states(folders).items() if path not in own}

@@ -38,7 +38,8 @@ UNITS = "units"
 
 @dataclass(frozen=True)
 class WorkStore:
-    """The folder for intermediate results at a URL. A WorkStore can be pickled and sent to other machines."""
+    """The folder for the intermediate results in an object store, given by its URL. A WorkStore can be pickled and sent
+    to other machines."""
 
     url: StorageUrl
 

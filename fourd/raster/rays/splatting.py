@@ -112,8 +112,8 @@ class _Window:
         self.scale = length.sum(1, keepdim=True) / length
 
     def at(self, triangle: Tensor, weights: Tensor) -> Tensor:
-        """Return min(a_0, a_1, a_2) (M,) for M hits, given the triangle indices (M,) and the hits' barycentric
-        coordinates (M, 3) in the 3D triangles."""
+        """Return the number min(a_0, a_1, a_2) of each of M hits as a tensor (M,), given the hits' triangle indices
+        (M,) and their barycentric coordinates (M, 3) in the 3D triangles."""
         if self.depths is not None:
             # Barycentric coordinates in the image are proportional to those in 3D multiplied by the vertices' depths.
             scaled = weights * self.depths[triangle]
@@ -133,7 +133,7 @@ def _alpha(window: Tensor, opacity: Tensor, sigma: Tensor) -> Tensor:
 @dataclass(frozen=True)
 class _Soup:
     """The triangles' features (T, C), opacity (T,) and sigma (T,), and ``window``, which computes the number min(a_0,
-    a_1, a_2) of a hit."""
+    a_1, a_2) of a hit (see :func:`splat_along_rays`)."""
 
     features: Tensor
     opacity: Tensor
@@ -186,8 +186,8 @@ class _State:
         triangle = hits.triangle[ray, layer].long()
         colour = weights[ray, layer, None] * soup.features[triangle]
         self.colour = self.colour.index_add(0, active[ray], colour)
-        # The weights are subtracted from the transmittance. Multiplying it by ``products`` would be wrong, because
-        # ``products`` also contain hits behind the last composited triangle.
+        # The new transmittance is the old one minus the weights. It is not the old one times the last of the
+        # ``products``, because that product includes the alphas of hits behind the last composited triangle.
         remaining = transmittance - weights.sum(1)
         self.transmittance = self.transmittance.index_put((active,), remaining)
         self.taken[active] += ((alpha.detach() > 0) & ~is_behind).sum(1)

@@ -1,4 +1,4 @@
-"""Rasterization of triangles behind each other, layer by layer: :class:`DepthPeeler`."""
+"""Rasterization of a mesh in layers, from the nearest triangle at each pixel to the farthest: :class:`DepthPeeler`."""
 
 from __future__ import annotations
 

@@ -115,8 +115,8 @@ def _split(composited: Tensor, alpha: Tensor, weight: Tensor, geometry: bool) ->
 
 
 def _geometry_of(xyz: Tensor, tri: Tensor, camera: Camera) -> Tensor:
-    """Return the unit normal of each triangle, pointing towards the camera, and the camera depth of its centre,
-    (T, 4)."""
+    """Return a tensor (T, 4). Each row has the unit normal of a triangle, pointing towards the camera, and the camera
+    depth of the triangle's centre."""
     # Coordinates that are too large or not finite would give culled triangles NaN gradients, so they are replaced.
     xyz = torch.where(xyz.abs() < LARGEST_COORDINATE, xyz, 0)
     a, b, c = (xyz.index_select(0, tri[:, corner]) for corner in range(3))

@@ -31,8 +31,8 @@ class Mip:
     """The mip levels of a texture, built by :func:`texture_construct_mip`.
 
     Attributes:
-        levels: mip levels 1, 2 and so on, without gradients: (B, H / 2, W / 2, C), (B, H / 4, W / 4, C), ... The levels
-            of a cube map have the six faces along the second axis.
+        levels: mip levels 1, 2 and so on, without gradients. Level k has the shape (B, H / 2^k, W / 2^k, C), in which
+            sides below 1 texel are replaced by 1. The levels of a cube map have the six faces along the second axis.
         shape: shape of the texture.
     """
 

@@ -21,8 +21,8 @@ def edge_gradients(
     backend: Backend = "auto",
     threads: int = 0,
 ) -> Tensor:
-    """Return ``color`` unchanged, with a backward pass that adds to the gradient of ``pos`` the effect of moving
-    visibility edges.
+    """Return ``color`` unchanged. The backward pass adds the effect of moving visibility edges to the gradient of
+    ``pos``.
 
     Unlike ``antialias``, this function gives gradients at visibility edges without changing the image (Pidhorskyi et
     al. 2024, "Rasterized edge gradients"). A visibility edge separates two neighbouring pixels that show different

@@ -27,8 +27,8 @@ IDENTITY = torch.eye(3, 4)
 
 @dataclass(frozen=True)
 class _GivenPose:
-    """A camera before its correction: the pose R (3, 3) and T (3,) in float64, and the distance from the scene's
-    centre."""
+    """A camera before its correction: the pose R (3, 3) and T (3,) in float64, and the camera's distance from the
+    scene's centre."""
 
     rotation: Tensor
     translation: Tensor

@@ -22,8 +22,8 @@ BACKEND = "gloo"
 JOIN_SECONDS = 120.0
 """Maximum time in seconds to wait for an answer from the address of rank 0."""
 WAIT = timedelta(days=7)
-"""Maximum time for which a rank waits for the other ranks. It is long because they wait while rank 0 carves the visual
-hull. If a rank fails, the others do not wait for it, because torchrun ends all ranks."""
+"""Maximum time for which a rank waits for the other ranks. It is long because the visual hull is carved only by
+rank 0, while the others wait. If a rank fails, the others do not wait for it, because torchrun ends all ranks."""
 
 RATE_EXPONENT = 0.5
 """The learning rates of dense parameters (all parameters except those of points) are multiplied by the number of ranks
@@ -118,7 +118,7 @@ class ProcessGroup:
 
     def require_same(self, what: str, text: str) -> None:
         """End all ranks if the text of any rank differs from that of rank 0. The error message contains ``what`` (a
-        name for the text), the rank whose text differs, and the first different line. All ranks call this method.
+        name for the text), the rank whose text differs, and the first different line. All ranks must call this method.
         """
         if self.size == 1:
             return
@@ -139,7 +139,7 @@ class ProcessGroup:
         )
 
     def refuse(self, message: str) -> NoReturn:
-        """End all ranks with a message that only rank 0 prints. All ranks call this method.
+        """End all ranks with a message that only rank 0 prints. All ranks must call this method.
 
         Raises UserError on rank 0, and SystemExit on the other ranks.
         """
@@ -190,8 +190,8 @@ def join_process_group() -> Iterator[ProcessGroup]:
     are not set, the group has one rank.
 
     Raises:
-        UserError: if the address of rank 0 does not answer. A UserError that the block raises on another rank is raised
-            again, with the number of the rank and the name of its machine.
+        UserError: if the address of rank 0 does not answer. If the block raises a UserError on a rank other than 0, the
+            number of the rank and the name of its machine are added to the message.
     """
     if rank_count() == 1:
         yield ALONE

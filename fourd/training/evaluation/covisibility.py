@@ -1,4 +1,4 @@
-"""Find the pixels of a held-out view whose surface is visible in a training view.
+"""Find the pixels of a held-out view that show surfaces that are also visible in a training view.
 
 The colours of surfaces that no training view shows can only be guessed. The PSNR over all pixels that do not show such
 surfaces is the masked PSNR (mPSNR) of Gao et al., "Monocular Dynamic View Synthesis: A Reality Check" (2022). Gao et
@@ -49,7 +49,7 @@ def covisible_masks(
 
 
 def visible_in_any(camera: Camera, depth: Depth, cameras: Sequence[Camera], depths: Sequence[Depth]) -> Mask:
-    """Compute the mask (H, W) of the pixels of ``camera`` whose surface is visible in at least one of ``cameras``.
+    """Compute the mask (H, W) of the pixels of ``camera`` that show a surface visible in at least one of ``cameras``.
 
     Args:
         camera: the evaluated camera, without lens distortion.
@@ -76,8 +76,8 @@ def visible_in_any(camera: Camera, depth: Depth, cameras: Sequence[Camera], dept
 def covisible_psnr(
     picture: NDArray[np.float32], truth: NDArray[np.float32], matte: NDArray[np.uint8], covisible: Mask
 ) -> float | None:
-    """Compute the PSNR in dB over two groups of pixels: those of the subject, and those of background surfaces that are
-    visible in a training view.
+    """Compute the PSNR in dB over the union of two groups of pixels: those of the subject, and those of background
+    surfaces that are visible in a training view.
 
     Args:
         picture: (H, W, 3) rendered colours in [0, 1].
@@ -86,7 +86,7 @@ def covisible_psnr(
         covisible: (H, W) mask of :func:`covisible_masks`.
 
     Returns:
-        The PSNR, or None if there are no such pixels.
+        The PSNR, or None if both groups are empty.
     """
     mask = covisible | (matte >= SUBJECT)
     return float(psnr(picture, truth, mask)) if mask.any() else None

@@ -24,7 +24,7 @@ in [0, 1]."""
 SPECK_AREA_PX = 4
 """Maximum area of a speck in pixels. Larger regions of wrong pixels are not specks."""
 MIN_SPECK_NEIGHBOURS = 5
-"""Minimum number of correct pixels among the eight neighbours of each pixel of a speck."""
+"""A pixel of a speck is marked only if at least this number of its eight neighbours are correct."""
 
 Image = NDArray[np.float32]
 

@@ -16,7 +16,8 @@ def psnr(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike, mask: Tenso
     Args:
         prediction: floating-point image (..., C), torch or NumPy.
         target: image of the same shape as ``prediction``.
-        mask: (...) bool or nonnegative weights of the pixels; if None, all pixels have equal weights.
+        mask: bool or nonnegative weights of the pixels, with the shape of ``prediction`` without the last axis; if
+            None, all pixels have equal weights.
 
     Returns:
         A scalar tensor, differentiable in ``prediction``.

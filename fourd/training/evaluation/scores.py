@@ -31,8 +31,8 @@ class Scores:
 class ViewScores:
     """Scores of one held-out image, for the whole image and for the matte's bounding box extended by 8 pixels.
 
-    In a full scene, ``covisible`` is the PSNR in dB over the pixels whose surface is visible in a training view
-    (fourd.training.evaluation.covisibility). In an object scene, it is None.
+    In a full scene, ``covisible`` is the PSNR in dB over the pixels of the subject and of background surfaces that are
+    visible in a training view (see :mod:`fourd.training.evaluation.covisibility`). In an object scene, it is None.
     """
 
     camera: str

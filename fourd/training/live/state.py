@@ -86,7 +86,7 @@ def read_state(run: Path) -> TrainingState | None:
 
 @contextmanager
 def training_lock(run: Path) -> Iterator[None]:
-    """Hold a lock until the ``with`` block or the process ends. From the lock, other processes see that this process
+    """Hold a lock until the ``with`` block or the process ends. The lock shows other processes that this process
     trains the run.
 
     The lock is a shared flock on the folder ``live/``, which is created if it is missing. It does not prevent a second

@@ -17,14 +17,14 @@ from fourd.training.losses.term import RenderedStep
 from fourd.training.rendering import NEAR, visible_points
 
 LAYERS = 64
-"""Maximum number of points that are composited at each pixel. Fewer points than this overlap at any pixel, even on a
-floor viewed at a grazing angle. If the maximum were too small, some transmittance would remain after the last layer,
-and training would enlarge the discs, so that even more of them overlap."""
+"""Maximum number of points that are composited at each pixel. It is larger than the number of points that overlap at
+any pixel, even on a floor viewed at a grazing angle. If the maximum were too small, some transmittance would remain
+after the last layer, and training would enlarge the discs, so that even more of them overlap."""
 MAX_LATERAL_OFFSET = 0.15
 """Maximum distance of a viewpoint from the line between two cameras, as a fraction of the line's length."""
 RNG_STREAM = 4
-"""Number of this loss's random stream, which no other random stream of a run has. The loss draws its random numbers
-from ``default_rng([seed, RNG_STREAM, step])``."""
+"""Number that identifies this loss's random stream; no other random stream of a run has it. The loss draws its random
+numbers from ``default_rng([seed, RNG_STREAM, step])``."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,7 @@ GROUPS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512
 # images that are normalised with them.
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
-# Images with a shorter side would have size 0 after the four pooling layers.
+# If a side were below this length, the image would have size 0 after the four pooling layers.
 MIN_SIDE_PX = 16
 SUFFIXES = (".pth", ".pt", ".safetensors")
 VGG_NAME = "vgg16-397923af.pth"

@@ -42,7 +42,7 @@ class FramePoints:
         age: scalar, number of training steps on these points.
         initial_count: scalar, number of points before training.
         local_planes: (N, 4) planes fitted to the neighbours of each point; see ``fit_planes``. None before the first
-            fit, and after points were added or removed until the next fit.
+            fit. When points are added or removed, it becomes None until the next fit.
     """
 
     spacing: Tensor

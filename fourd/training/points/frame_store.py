@@ -40,7 +40,7 @@ class FrameStore:
             frames: number of frames.
             make: function that returns a frame's initial points, given the frame's index.
             memory_mb: maximum size of the points in memory, in MiB. The points of a single frame may exceed this size.
-            saved: folder written by :meth:`save` from which the points are read; if None, initial points are used.
+            saved: folder that :meth:`save` has written; the points are read from it. If None, initial points are used.
             device: device of the points that :meth:`get` returns.
         """
         self._scratch = scratch

@@ -28,8 +28,8 @@ from fourd.training.schedule import StepSample
 from fourd.training.views import View, ViewStore
 
 RNG_STREAM = 3
-"""Number of densification's random stream, which no other random stream of a run has. Densification draws its random
-numbers from ``default_rng([seed, RNG_STREAM, frame, age])``."""
+"""Number that identifies densification's random stream; no other random stream of a run has it. Densification draws its
+random numbers from ``default_rng([seed, RNG_STREAM, frame, age])``."""
 BACKGROUND_SEED = 2**31
 """Number that replaces the frame index in the seed of the background's densification. It is larger than every frame
 index."""

@@ -112,8 +112,8 @@ class TrainingScene(Protocol):
         """Evaluate the visible points of each cloud that is rendered in a step, with the foreground first."""
 
     def xyz_rate(self, points: OptimizedPoints, factor: float) -> Tensor:
-        """Return the learning rates (M, 1) of M points' positions, in world units. ``factor`` is the schedule's factor
-        of all learning rates."""
+        """Return the learning rates (M, 1) of M points' positions, in world units. ``factor`` is the factor by which
+        the schedule multiplies all learning rates."""
 
     def finish_step(self) -> None:
         """Notify the scene that a training step has ended and has updated the parameters."""
@@ -130,8 +130,8 @@ class TrainingScene(Protocol):
         self, points: FramePoints, frame: int, camera: Camera, sources: SelectedViews
     ) -> list[RenderablePoints]:
         """Evaluate all points of the scene at one frame, with the foreground first. ``frame`` is an index into the
-        selected frames. ``sources`` contains the indices and view weights of the cameras whose images the colours are
-        blended from."""
+        selected frames. ``sources`` contains the indices and view weights of the cameras from whose images the colours
+        are blended."""
 
     def reference_picture(self, view: View) -> NDArray[np.float32]:
         """Return the true image (H, W, 3) in [0, 1] with which a rendering of the view is compared."""

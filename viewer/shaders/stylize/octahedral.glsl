@@ -11,8 +11,9 @@ vec3 decode_octahedral(vec2 texel) {
 
 const float BACK_WEIGHT = 0.1;
 
-// Returns the weight with which a point contributes to the depth and the normal of the visible surface. It is larger
-// for points that face the camera. `normal` and `position` are in camera axes.
+// The depth and the normal of the visible surface are weighted means over points. Returns the factor by which the
+// weight of a point is multiplied. The factor is larger for points that face the camera. `normal` and `position` are in
+// camera axes.
 float front_weight(vec3 normal, vec3 position) {
     float cosine = -dot(normal, position) / max(length(position), 1e-10);
     return BACK_WEIGHT + (1.0 - BACK_WEIGHT) * clamp(0.5 + 5.0 * cosine, 0.0, 1.0);
