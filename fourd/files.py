@@ -135,7 +135,7 @@ def remove_unfinished_file(target: Path | str) -> None:
 
 
 def remove_unfinished_folder(target: Path) -> None:
-    """Remove the temporary folders that killed processes left for the folder ``target``.
+    """Remove the temporary folders of ``target`` that remain from earlier processes, which were killed.
 
     If a process was killed while it replaced ``target``, the old content is restored. Call this function only while
     ``target`` is locked.

@@ -1,4 +1,4 @@
-"""A GLFW window with an OpenGL 3.3 core context, and the Dear ImGui backend that draws the user interface in it."""
+"""A GLFW window with an OpenGL 3.3 core context, and the ImGui backend that draws the user interface in it."""
 
 from __future__ import annotations
 

@@ -261,7 +261,7 @@ def load_run(folder: Path) -> TrainedRun:
 
 
 def load_models(run: Run) -> TrainedRun:
-    """Load the newest intact checkpoint of an open run without segments."""
+    """Load the newest intact checkpoint of a run that is not divided into segments (see :func:`open_run`)."""
     found, note = latest_checkpoint(run.checkpoints)
     if found is None:
         reason = f" ({note})" if note else ""

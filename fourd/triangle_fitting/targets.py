@@ -52,7 +52,7 @@ class TargetOrder:
     """Selects targets in rounds. Each round contains every target once, in random order."""
 
     def __init__(self, targets: Sequence[Target], generator: torch.Generator) -> None:
-        """Select from ``targets`` (at least one), in a random order given by ``generator``."""
+        """Create an iterator over ``targets``, a list of at least one view. ``generator`` gives the random order."""
         self._targets, self._generator = targets, generator
         self._order: list[int] = []
 

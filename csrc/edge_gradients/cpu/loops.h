@@ -6,7 +6,8 @@
 
 namespace fourd::edge_gradients {
 
-// The contribution of one edge between two pixels to the gradient of one vertex.
+// What one pair of neighbouring pixels, between whose centres a visibility edge passes, adds to the gradient of one
+// vertex.
 struct Contribution {
     std::uint32_t vertex;  // Index over all instances: instance * vertices + vertex.
     float x, y, z, w;
