@@ -32,6 +32,7 @@ using Rules = std::map<std::string, Rule>;
 inline Rules parse_rules(const std::string& text) {
     Rules out;
     for (const std::string& part : split(text, ' ')) {
+        if (part.empty()) continue;
         const std::size_t end = part.find_first_of("=*<");
         Rule& rule = out[part.substr(0, end)];
         const std::size_t equals = part.find('=');
