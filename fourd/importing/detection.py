@@ -34,23 +34,34 @@ class Format:
         looks_like: function that tests whether a path has this format, by reading only file names and the first bytes
             of files.
         read: function that reads the cameras of a source, and raises UserError for an invalid source.
+        is_metric: whether the calibrations are in metres, so that distances can be converted to the travel time of
+            sound.
     """
 
     name: str
     summary: str
     looks_like: Callable[[Path], bool]
     read: Callable[[Path], Imported]
+    is_metric: bool = False
 
 
 FORMATS = (
-    Format("qualisys", "NAME.qca.txt and one video per camera", qualisys.looks_like, qualisys.read),
-    Format("caliscope", "camera_array.toml of Caliscope, and videos", caliscope.looks_like, caliscope.read),
+    Format("qualisys", "NAME.qca.txt and one video per camera", qualisys.looks_like, qualisys.read, is_metric=True),
     Format(
-        "anipose", "a calibration TOML of Anipose, Pose2Sim or FreeMoCap, and videos", anipose.looks_like, anipose.read
+        "caliscope", "camera_array.toml of Caliscope, and videos", caliscope.looks_like, caliscope.read, is_metric=True
+    ),
+    Format(
+        "anipose",
+        "a calibration TOML of Anipose, Pose2Sim or FreeMoCap, and videos",
+        anipose.looks_like,
+        anipose.read,
+        is_metric=True,
     ),
     Format("neural3dv", "poses_bounds.npy and camNN.mp4", neural3dv.looks_like, neural3dv.read),
-    Format("actorshq", "calibration.csv, rgbs/ and masks/", actorshq.looks_like, actorshq.read),
-    Format("dna-rendering", "NAME.smc and NAME_annots.smc", dna_rendering.looks_like, dna_rendering.read),
+    Format("actorshq", "calibration.csv, rgbs/ and masks/", actorshq.looks_like, actorshq.read, is_metric=True),
+    Format(
+        "dna-rendering", "NAME.smc and NAME_annots.smc", dna_rendering.looks_like, dna_rendering.read, is_metric=True
+    ),
     Format("transforms", "transforms.json and images", transforms_json.looks_like, transforms_json.read),
     Format("colmap", "a sparse model and each camera's video or images", colmap.looks_like, colmap.read),
     Format("easymocap", "intri.yml, extri.yml, images/CAM/ or videos/", easymocap.looks_like, easymocap.read),

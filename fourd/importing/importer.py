@@ -44,9 +44,6 @@ from fourd.progress import Log, Track
 
 Indices = Mapping[str, VideoIndex]
 
-METRIC_FORMATS = ("qualisys", "anipose", "actorshq", "caliscope", "dna-rendering")
-"""Formats whose calibrations are in metres."""
-
 MAX_SAMPLE_FRAMES = 3
 """Number of frames whose images are matched to check a calibration of at most FEW_CAMERAS cameras."""
 FEW_CAMERAS = 5
@@ -166,7 +163,7 @@ def _correct_estimate(
 ) -> Estimate:
     """If the offsets were estimated from sound, correct them by the time that sound takes to reach each calibrated
     camera, and log the offsets."""
-    is_metric = source_format.name in METRIC_FORMATS or options.distance is not None or options.board is not None
+    is_metric = source_format.is_metric or options.distance is not None or options.board is not None
     if options.calibration is not None:
         is_metric |= is_metric_calibration(Path(options.calibration))
     corrected = correct_sound_travel(estimate, imported.cameras, options.sound_at, is_metric, log)

@@ -16,12 +16,12 @@ from fourd.pipeline.capture_graph import has_masks, stages_to_mattes
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.segments import divide_stage, segment_stages
 from fourd.pipeline.stages.adjust import AdjustSettings, adjust_stage
-from fourd.pipeline.stages.background import BackgroundFiles, BackgroundSettings, background_stage
 from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
-from fourd.pipeline.stages.carve import CarveStageSettings, carve_run_stage
-from fourd.pipeline.stages.given_points import GivenPointSettings, given_points_stage
 from fourd.pipeline.stages.mattes import MatteStageSettings
 from fourd.pipeline.stages.plates import run_plates_stage
+from fourd.pipeline.stages.points.background import BackgroundFiles, BackgroundSettings, background_stage
+from fourd.pipeline.stages.points.carve import CarveStageSettings, carve_run_stage
+from fourd.pipeline.stages.points.given_points import GivenPointSettings, given_points_stage
 from fourd.pipeline.stages.still import no_points_stage
 from fourd.pipeline.stages.train import TrainFiles, train_stage
 from fourd.training.cameras.selection import DataSelection

@@ -15,7 +15,7 @@ from fourd.matting.sequence import MatteSettings
 from fourd.pipeline.graph import RunRequest, stages_to_scene
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
-from fourd.pipeline.stages.carve import CarveStageSettings, carve_stage
+from fourd.pipeline.stages.points.carve import CarveStageSettings, carve_stage
 from fourd.training.cameras.selection import DataSelection
 from fourd.training.config import RefineConfig
 from tests.training.small import full_config

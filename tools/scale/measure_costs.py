@@ -34,7 +34,7 @@ from fourd.capture import open_capture, write_calibration
 from fourd.files import write_text_atomically
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
-from fourd.pipeline.stages.carve import CarveStageSettings, carve_run_stage
+from fourd.pipeline.stages.points.carve import CarveStageSettings, carve_run_stage
 from fourd.pipeline.stages.train import TrainFiles, train_stage
 from fourd.training.cameras.selection import DataSelection
 from fourd.training.config import TrainConfig

@@ -13,7 +13,7 @@ from fourd.cli.options import CapturePath, SelectionOptions, Workers, check_hull
 from fourd.errors import UserError
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
-from fourd.pipeline.stages.carve import CarveStageSettings, carve_stage
+from fourd.pipeline.stages.points.carve import CarveStageSettings, carve_stage
 from fourd.processes import locked_folder
 from fourd.progress import Terminal
 from fourd.training.cameras.selection import DataSelection

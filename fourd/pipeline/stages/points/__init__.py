@@ -1,0 +1,1 @@
+"""Stages that compute the first points of the foreground and the background."""
