@@ -17,8 +17,9 @@ Array = NDArray[np.float64]
 
 FADE_MARGIN = 1.25
 """The weight of a source view decreases with the angle between its camera and the viewing camera, and reaches 0 at a
-limit angle. Usually, the limit angle is the angle of a camera that is not chosen as a source view. If there is no such
-camera, the limit angle is FADE_MARGIN times the largest angle of the chosen cameras; see :func:`fading_weights`.
+limit angle. Let A be the largest angle of the cameras that are chosen as source views. Of the other cameras, those at
+angles of at least A are considered, and the limit angle is the smallest of their angles. If there is no such camera,
+the limit angle is FADE_MARGIN * A; see :func:`fading_weights`.
 """
 
 

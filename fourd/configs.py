@@ -131,8 +131,10 @@ _Dumper.add_representer(list, lambda dumper, data: dumper.represent_sequence("ta
 
 
 def _parse_file(path: Path) -> yaml.Node | None:
-    """Parse a file to a tree of YAML nodes, which are not converted to Python objects, so that YAML tags cannot create
-    any.
+    """Parse a YAML file. Return the root of its tree of YAML nodes, or None if the file has no content.
+
+    The nodes are not converted to Python objects, so YAML tags in the file, such as ``!!python/object``, cannot create
+    Python objects.
     """
     try:
         text = read_limited(path, MAX_CONFIG_BYTES).decode("utf-8-sig")

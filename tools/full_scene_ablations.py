@@ -7,7 +7,8 @@ Each variant is a run in OUT/NAME. Variants reuse the hull points and background
 the variants that change how these points are made. Finished runs are not trained again.
 
 Two variants use the capture OUT/disturbed, in which each camera is rotated by 0.5 degrees and moved by 1 cm. Before
-their evaluation, each held-out camera is fitted to its own images, which raises the scores of both variants slightly.
+these two variants are evaluated, the pose of each held-out camera is fitted to the images of this camera, which raises
+the scores of both variants slightly.
 
 The program prints a Markdown table and writes the image OUT/pictures.png, which shows the middle frame of each held-out
 view: the ground truth, and the result of every variant.

@@ -157,9 +157,9 @@ def measure_view(trained: TrainedRun, frame: int, view: int) -> ViewQuality:
 def measure_flicker(trained: TrainedRun, view: int, frames: int = 8) -> float:
     """Return the flicker of a held-out view over at most ``frames`` successive frames from the middle of the run.
 
-    The change of a pixel is its difference between two successive images. The flicker is the mean absolute error of the
-    rendered images' changes, divided by the mean absolute change of the true images. For a single frame, the result is
-    0.
+    The change of a pixel is its difference between two successive images. The flicker is the mean absolute difference
+    between the changes in the rendered images and the changes of the same pixels in the true images, divided by the
+    mean absolute change in the true images. For a single frame, the result is 0.
     """
     first = max(0, (trained.run.capture.frame_count - frames) // 2)
     shown = range(first, min(first + frames, trained.run.capture.frame_count))

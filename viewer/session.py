@@ -192,8 +192,10 @@ class Session:
     def render_request(self, size: tuple[int, int], wait: bool = False) -> RenderRequest | None:
         """Return the render request for an image of ``size``, or None until the first frame of a scene has been read.
 
-        While a frame is being read, the request contains the previous frame, and ``is_waiting`` is True. If the frame
-        cannot be read, the request also contains the previous frame, and ``message`` contains the reason.
+        The request contains the previous frame instead of the current frame in two cases: while the current frame is
+        being read (``is_waiting`` is then True), and if the current frame cannot be read (``message`` then contains
+        the reason). If ``wait`` is True, the method instead waits until the current frame has been read, and raises
+        UserError if it cannot be read.
         """
         if self.scene is None or self.pose is None:
             return None

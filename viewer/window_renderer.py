@@ -16,7 +16,7 @@ from fourd.viewer.rendering.renderers import Renderer, RendererChoice, RendererN
 from fourd.viewer.window import Window
 
 _FAINT = 0.01
-"""Tolerance of lines that fade in. A paused image is drawn again until each line's strength differs from its final
+"""While an image is paused, lines fade in: the image is drawn again until each line's strength differs from its final
 strength by at most this fraction of the initial difference.
 """
 

@@ -50,8 +50,9 @@ FOURD_HD static inline Vertex vertex_at(const Mesh& mesh, std::size_t first_vert
     return {at[0], at[1], at[3]};
 }
 
-// Returns the determinant of p, q and r. Its sign states on which side of the plane through p, q and the camera the
-// vertex r lies. The determinant is computed from differences, so that it is exactly 0 if two vertices are equal.
+// Returns the determinant of p, q and r. The camera and the vertices p and q span a plane, and the sign of the
+// determinant states on which side of this plane r lies. The determinant is computed from differences, so that it is
+// exactly 0 if two vertices are equal.
 FOURD_HD static inline float side_of(const Vertex& p, const Vertex& q, const Vertex& r) {
     const Vertex e{q.x - p.x, q.y - p.y, q.w - p.w}, d{r.x - p.x, r.y - p.y, r.w - p.w};
     return (p.x * (e.y * d.w - e.w * d.y) + p.y * (e.w * d.x - e.x * d.w)) + p.w * (e.x * d.y - e.y * d.x);

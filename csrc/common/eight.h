@@ -22,8 +22,8 @@ FOURD_INLINE void store(const Eight* from, float* to) { std::memcpy(to, from, si
 FOURD_INLINE void load(const float* from, float* to) { *to = *from; }
 FOURD_INLINE void store(const float* from, float* to) { *to = *from; }
 
-// The type (Eight or float) to which the pointer `tag` points. for_eights() passes `tag` to its loop body as the second
-// argument.
+// The type to which `Pointer` points, without const. The loop body of for_eights() (below) has two arguments: an index
+// `i`, and a pointer `tag` to Eight or float. NumberOf<decltype(tag)> is then Eight or float, respectively.
 template <typename Pointer>
 using NumberOf = std::remove_const_t<std::remove_pointer_t<Pointer>>;
 

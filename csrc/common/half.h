@@ -34,8 +34,9 @@ FOURD_HD FOURD_INLINE std::uint16_t to_half(float value) {
     std::uint32_t magnitude = bits & 0x7fffffffu;
     magnitude = magnitude < 0x477fe000u ? magnitude : 0x477fe000u;  // 65504
     const std::uint32_t normal = (magnitude + 0xfffu + (magnitude >> 13 & 1u) - (112u << 23)) >> 13;
-    // For a subnormal half: floats in [0.5, 1) are 2^-24 apart, and so are the subnormal halves. Adding 0.5 therefore
-    // rounds the value to a half, and the lowest bits of the sum are the bits of this half.
+    // For a subnormal result: float32 numbers in [0.5, 1) are 2^-24 apart, and so are the subnormal half-precision
+    // numbers. Adding 0.5 to the value therefore rounds it to half precision, and the lowest bits of the sum are the
+    // bits of the half-precision number.
     float small;
     memcpy(&small, &magnitude, sizeof small);
     small += 0.5f;

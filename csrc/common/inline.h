@@ -1,8 +1,9 @@
 // Macros and functions for forced inlining, non-aliasing pointers, bit operations and prefetching, whose syntax depends
 // on the compiler.
 //
-// Dispatched files (common/dispatch.h) depend on forced inlining: the linker may replace a function that is not inlined
-// by a copy that was compiled for another instruction set.
+// Dispatched files (common/dispatch.h), which are compiled once for each instruction set, depend on forced inlining. An
+// inline function that the compiler does not inline has one copy for each instruction set. The linker keeps only one
+// of these copies, which may use instructions that the processor does not have.
 #pragma once
 
 #include <cstddef>

@@ -6,11 +6,12 @@
 // (antialias/maths.h) that is 0 on the edge opposite to this vertex. V, the sum of N_i w_i over the three vertices, is
 // the same at all pixels. At a pixel, z/w of the triangle is the sum of b_i z_i over the three vertices, where
 //     b_i = N_i / V.
-// Let f_a and f_b be the coordinates of a pixel centre f along and across the direction from one pixel of the pair to
-// the other. N_i is linear in f, so z/w is also a linear function of f, with constant coefficients p_a, p_b and p_w:
+// Let f = (f_x, f_y) be a pixel centre in normalised device coordinates. If the two pixels are neighbours in a row, let
+// (f_a, f_b) = (f_x, f_y). If they are neighbours in a column, let (f_a, f_b) = (f_y, f_x). N_i is linear in f, so z/w
+// is also a linear function of f, with constant coefficients p_a, p_b and p_w:
 //     D(f) = p_a f_a + p_b f_b + p_w
-// Let da, db, dz and dw be small changes of the clip coordinates of vertex i, with da in the direction of f_a and db in
-// that of f_b. They change D(f) by
+// Let dx, dy, dz and dw be small changes of the clip coordinates of vertex i, and let (da, db) be (dx, dy) for
+// neighbours in a row, and (dy, dx) for neighbours in a column. These changes of the vertex change D(f) by
 //     b_i * (dz - p_a da - p_b db - p_w dw).
 // The crossing is the point of the segment at which both triangles have the same D(f).
 #pragma once

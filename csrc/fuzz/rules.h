@@ -7,8 +7,9 @@
 // A rule NAME=A,B gives the sizes of the free axes (axes that may have any size) of the array NAME, or the value of the
 // integer argument NAME. NAME*L gives the length L of a list. NAME*L=A,B gives the length, and the sizes of the arrays
 // in the list. NAME<N limits the values of an int32 array to the range from 0 to N - 1. A capital letter stands for the
-// same size everywhere in one call. 2AB is a product, and A+B is a sum. A> is the size A, halved once for each
-// preceding array of the list, but at least 1. Sizes without a rule are chosen independently.
+// same size everywhere in one call. 2AB is a product, and A+B is a sum. A> stands for a different size in each array of
+// a list: A in the first array, A / 2 in the second, A / 4 in the third, and so on. These sizes are rounded down, and a
+// size of 0 is replaced by 1. Sizes without a rule are chosen independently.
 #pragma once
 
 #include <algorithm>

@@ -36,8 +36,9 @@ class EmptyTiles {
   private:
     points::Surface surface_{};
     int width_ = 0, height_ = 0;
-    // Whether the new image is drawn over the last image: the arrays, the size and the background are the same, and
-    // Surface::persistence is above 0.
+    // True if the arrays of the surface still contain the last image, so that tiles that are empty in both images need
+    // not be drawn again. This is the case if Surface::persistence is above 0, and the arrays, the image size and the
+    // background are the same as for the last image.
     bool is_kept_ = false;
     std::vector<std::uint8_t> empty_;
 };

@@ -52,9 +52,10 @@ struct Surface {
     // Shape (height, width, 4): unit normal n as bytes 127 * n + 128, then 255 * coverage. At pixels without points, n
     // is the zero vector and the coverage is 0, so the bytes are 128, 128, 128 and 0.
     std::uint8_t* normal;
-    // In [0, 1): where the previous image and the new image show the same surface, their inverse depths and normals are
-    // averaged. The previous image has the weight `persistence`, and the new image has the weight 1 - persistence. If
-    // `persistence` is above 0, all arrays must contain the previous image of the same camera before the call.
+    // Weight of the previous image, in [0, 1). At pixels at which the previous image and the new image show the same
+    // surface, the inverse depths of the two images are averaged, and so are the normals. In these means, the previous
+    // image has the weight `persistence`, and the new image has the weight 1 - persistence. If `persistence` is above
+    // 0, all arrays must contain the previous image of the same camera before the call.
     float persistence;
 };
 

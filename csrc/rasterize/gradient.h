@@ -23,10 +23,14 @@ FOURD_HD static inline float bounded(double gradient) {
     return static_cast<float>(gradient < kLargestGradient ? gradient : kLargestGradient);
 }
 
-// Computes the 15 values that are summed over the pixels of a triangle: the 9 products of (g0, g1, gs) and (b_0, b_1,
-// s), and the gradients with respect to b_x (3 values) and b_y (3 values). `b` has the values of the first three
-// functions of Planes (maths.h) at the pixel, and `x` and `y` have their slopes. grad_u and grad_v are the gradients
-// with respect to u and v in rast. `db` (4,) is the gradient with respect to rast_db.
+// Computes the 15 values of one pixel that are later summed over the pixels of a triangle. The first 9 values are the
+// products of each of the gradients g0, g1 and gs with each of the values b_0, b_1 and s (see the top of this file).
+// The next 3 values are the gradients with respect to the slopes `x`, and the last 3 values are those with respect to
+// the slopes `y`.
+//
+// `b` has the values at the pixel of the first three functions of Planes (maths.h), which are b_0, b_1 and s times
+// Planes::scale. `x` and `y` have the slopes of these functions, per pixel along x and along y. grad_u and grad_v are
+// the gradients with respect to u and v in rast. `db` (4,) is the gradient with respect to rast_db.
 template <bool kDerivatives>
 FOURD_HD static inline void pixel_gradient(const float* b, const float* x, const float* y, float grad_u, float grad_v,
                                            const float* db, float* out) {

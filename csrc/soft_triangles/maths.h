@@ -66,8 +66,9 @@ struct alignas(64) Face {
     float inverse_z[3];  // Reciprocals of the camera depths of the corners.
     float inverse_area;  // Equal to 1 / (2 * signed area).
     float inverse_square[3];     // Reciprocals of the squared lengths of the edges.
-    // Derivatives with respect to x and y. If Softness::barycentric is true, element k is the derivative of barycentric
-    // coordinate k. Otherwise, element k is the derivative of the signed distance from edge k.
+    // If Softness::barycentric is true, element k is the derivative of barycentric coordinate k of a pixel. Otherwise,
+    // element k is the derivative of the pixel's signed distance, in pixels, from edge k. The derivatives are with
+    // respect to the horizontal (slope_x) and the vertical (slope_y) position of this pixel.
     float slope_x[3], slope_y[3];
     tiles::TileRange range;
 };

@@ -58,8 +58,8 @@ struct Bilinear {
 };
 
 FOURD_HD FOURD_INLINE Bilinear bilinear_at(float x, float y, int width, int height) {
-    // If `inside` is false, because the position is NaN or outside the bounds in the next line, the position is
-    // replaced by (-1, -1), where all weights are 0, so no sample is used.
+    // `inside` is false if the position is NaN, or outside the bounds in the next line. Such a position is replaced by
+    // (-1, -1), where all weights are 0, so no sample is used.
     const bool inside = x > -1.0f && y > -1.0f && x < static_cast<float>(width) && y < static_cast<float>(height);
     x = inside ? x : -1.0f;
     y = inside ? y : -1.0f;

@@ -16,9 +16,10 @@ constexpr int kTones = 256;       // Number of columns of the shade table.
 constexpr int kMaxRows = 64;      // Maximum number of rows of the shade table.
 constexpr int kMaxThickness = 8;  // Maximum distance, in pixels, between adjacent taps (samples) of a line filter.
 
-// Specks, which are very short lines, are not drawn. The line at a pixel is drawn only if every square around the pixel
-// with a side of 2, 4, 8, ..., 2 * reach pixels has a line on its border. Returns `reach`, half the side of the largest
-// square, in pixels. It is at most 32.
+// Specks, which are very short lines, are not drawn. To find them, nested squares are centred at each pixel that has a
+// line. The sides of the squares are 2, 4, 8, ..., 2 * reach pixels. The line at the pixel is drawn only if each of
+// these squares has a line on its border. Returns `reach`, half the side of the largest square, in pixels. It is at
+// most 32.
 constexpr int speck_reach(int thickness) {
     int reach = 8;
     while (2 * reach <= 4 * (thickness + 1)) reach *= 2;

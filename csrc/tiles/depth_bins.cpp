@@ -47,8 +47,9 @@ std::vector<DepthBins::Run> DepthBins::project_all(std::size_t count, const Proj
     return runs;
 }
 
-// Runs one stable pass of the radix sort, from items_ to spare_. The digit of an item consists of `bits` bits of the
-// difference key - low, from bit `shift` upwards.
+// Runs one stable pass of the radix sort, from items_ to spare_. The pass sorts the items by one digit of the
+// difference `key - low`, where `low` is the smallest key of all items. The digit consists of `bits` bits of this
+// difference, and bit `shift` is the lowest of them.
 void DepthBins::radix_pass(const std::vector<Run>& runs, std::uint32_t low, int shift, int bits, Team& team) {
     const Item* const from = items_.data();
     Item* const to = spare_.data();

@@ -121,10 +121,11 @@ void view_of_all(const Views& from, std::size_t number, std::size_t first, std::
     }
 }
 
-// Writes the weights and the colours of `count` points in one view. The levels of the view contain only the points that
-// have a colour. `next` is the index, in these levels, of the first point of the batch that has a colour. Returns this
-// index for the next batch. For points without a colour, the function also reads levels, which are then masked to 0,
-// because a branch would be slower: the processor could not predict it.
+// Writes the weights and the colours of `count` points in one view, for scenes in which only some points have a colour
+// in the view. Each plane of View::levels has one byte (a colour level) for each point with a colour, and no bytes for
+// the other points. `next` is the index, in such a plane, of the first point of the batch that has a colour. Returns
+// this index for the next batch. For points without a colour, the function also reads levels, which are then masked to
+// 0, because a branch would be slower: the processor could not predict it.
 std::size_t view_of_some(const Views& from, std::size_t number, std::size_t first, std::size_t count, std::size_t next,
                          std::uint16_t* out_weights, std::uint8_t* out_rgb) {
     const View& of = from.views[number];

@@ -24,7 +24,10 @@ ignores objects in front of it."""
 
 DISTANCE_WEIGHT = 100.0
 """Weight of horizontal neighbours in the extrapolation of distances, relative to the weight 1 of vertical neighbours.
-With a large weight, distances are continued along the rows, so floors stay horizontal and walls vertical."""
+With a large weight, the distances in a row are continued along this row, that is, at a constant elevation. A floor
+stays horizontal, because a horizontal plane has the same distance in all directions of a row. A wall stays vertical,
+because its known edge has the same horizontal distance from the grid's centre in all rows, and each row continues this
+distance."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,8 +56,8 @@ def has_plate(path: Path, name: str) -> bool:
 def read_plates(
     capture: Capture, cameras: Sequence[int], log: Log = lambda line: None, made: Path | None = None
 ) -> tuple[PlateView, ...]:
-    """Read the plates of some cameras of a capture. The plates are undistorted and resized to match
-    ``capture.cameras``.
+    """Read the plates of some cameras of a capture. The function removes the lens distortion of the user's plates, and
+    resizes all plates to match ``capture.cameras``.
 
     For each camera, the user's plate ``bgs/CAM.png`` or ``bgs/CAM.jpg`` is used if it exists. It must have the full
     size and the lens distortion of the frames, and its pixels that are not opaque are holes. Otherwise, the plate
@@ -100,7 +100,8 @@ def read_plates(
 
 @dataclass(frozen=True)
 class _File:
-    """Path of a plate, and whether fourd made it. Plates that fourd made are undistorted."""
+    """Path of a plate, and whether fourd made it. Plates that fourd made have no lens distortion; the user's plates
+    have that of the frames."""
 
     path: Path
     made: bool

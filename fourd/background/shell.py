@@ -160,8 +160,8 @@ def _select_cells(sphere: DirectionGrid, known: Bools) -> tuple[NDArray[np.intp]
     Near known cells, the density of the selected cells is uniform over the sphere. Far from known cells, it is lower.
 
     Returns:
-        flat indices (N,) of the selected cells, the distance (N,) in columns between selected cells of the same row,
-        and whether the cells (N,) are near known cells.
+        flat indices (N,) of the selected cells; for each of them, the step (N,), in columns, between the cells that are
+        selected in its part of its row; and a bool mask (N,), true for selected cells near known cells.
     """
     grid, degrees = _close_gaps(sphere, known)
     wider = np.pad(grid, ((1, 1), (1, 1)), mode="wrap")

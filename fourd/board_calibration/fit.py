@@ -55,14 +55,14 @@ MIN_POSE_VIEWS = 3
 MIN_FITTED_VIEWS = 8
 """A frame is held out only if each camera that sees the board in it keeps at least this number of views in the fit."""
 MIN_FITTED_PAIRS = 4
-"""A frame is held out only if any two cameras that see the board in it share at least this number of fitted frames."""
+"""A frame is held out only if, for each pair of cameras that see the board in it, the fit keeps at least this number of
+frames in which both cameras see the board."""
 SCALES_PX = (10.0, 1.0, 0.5)
 """Scales, in pixels, of the Huber loss in the successive adjustments."""
 MEDIAN_PER_STD = 1.177
 """Median length of a normally distributed two-dimensional vector, in standard deviations."""
 CORRELATION = 2.5
 """Factor that multiplies the corners' standard deviation when the corners are weighed against the prior on the lenses.
-
 It accounts for correlated errors of the corners in one image, which are caused by motion blur, a board that is not
 exactly flat, and cameras that do not expose at exactly the same time.
 """

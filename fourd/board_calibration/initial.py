@@ -212,8 +212,10 @@ def _relative_pose(shared: Sequence[tuple[LocatedView, LocatedView]]) -> Poses:
     """Return the relative pose of two cameras: of all candidates, the one that agrees best with the candidates of the
     other frames.
 
-    Each frame gives up to four candidates, because each view has up to two poses. The chosen candidate has the smallest
-    median distance to the nearest candidates of all frames.
+    Each frame gives up to four candidates, because each view has up to two poses. The difference between
+    two candidates is the sum of the angle and the weighted distance (:data:`AGREEMENT_M`) between them. For each
+    candidate, the difference from the most similar candidate of every frame is computed. The candidate whose
+    differences have the smallest median over the frames is chosen.
     """
     candidates, frame = [], []
     for number, (first, second) in enumerate(shared):

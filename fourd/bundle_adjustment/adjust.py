@@ -71,8 +71,8 @@ def adjust_cameras(capture: MaskSource, cameras: Sequence[int], prior: Prior, ba
         capture: undistorted images and an approximate calibration.
         cameras: indices of the cameras to be adjusted.
         prior: standard deviations of the errors in the given calibration.
-        band: maximum distance of a match from the epipolar lines of the given cameras, as a fraction of the longer
-            image side.
+        band: maximum distance of a match from the epipolar lines of the given cameras, as a fraction of the longest
+            image side of all cameras.
         track: callback that reports progress.
 
     Returns:

@@ -40,11 +40,11 @@ MIN_GAIN_PX = 0.1
 pixels. Even if a calibration is good, a correction decreases this median by up to 0.04 pixels, because it follows the
 noise of the matches."""
 BAND = 0.03
-"""Maximum distance of a match from its epipolar line, as a fraction of the longer image side."""
+"""Maximum distance of a match from its epipolar line, as a fraction of the longest image side of all cameras."""
 ROTATION_DEG, POSITION, FOCAL, PRINCIPAL = 1.0, 0.01, 0.01, 0.01
 """Assumed standard deviations of the errors in the given calibration. ROTATION_DEG is in degrees. POSITION is a
-fraction of the distance between the camera and the scene's centre, FOCAL of the given focal length, and PRINCIPAL of
-the longer image side."""
+fraction of the distance between the camera and the scene's centre. FOCAL is a fraction of the given focal length.
+PRINCIPAL is a fraction of the longest image side of all cameras."""
 DISTORTION_ROUNDS = 3
 """Number of rounds of a bundle adjustment that changes intrinsics. Each round undistorts the matches with the latest
 intrinsics."""
@@ -127,7 +127,9 @@ def repair_cameras(cameras: Sequence[Camera], matches: Mapping[Pair, Matches]) -
 def split_matches(matches: Mapping[Pair, Matches], cameras: int) -> tuple[dict[Pair, Matches], dict[Pair, Matches]]:
     """Split the matches into those for the fit and the held-out ones.
 
-    No feature belongs to both sets. A match between a track for the fit and a held-out track belongs to neither set.
+    Every track belongs to one of the two sets. The features of a match can be in different tracks, because not every
+    match joins tracks (see :func:`_label_tracks`). If one of these tracks is for the fit and the other is held out, the
+    match belongs to neither set. Therefore, no feature belongs to both sets.
     """
     _, rows = _index_features(matches, cameras)
     tracks = _label_tracks(rows)

@@ -131,8 +131,8 @@ def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple
     np.add.at(right, tracks.point, np.einsum("mij,mj->mi", projectors, origins))
     sums = np.zeros((tracks.points, 3))
     np.add.at(sums, tracks.point, rays)
-    # The angle that a track's rays span is measured by the length of the mean of their unit vectors, which is cos(angle
-    # / 2) for two rays.
+    # The unit vectors along a track's rays are averaged. The larger the angle that the rays span, the shorter the mean
+    # vector. For two rays, its length is cos(angle / 2).
     count = np.bincount(tracks.point, minlength=tracks.points)
     mean_length = np.linalg.norm(sums, axis=1) / np.maximum(count, 1)
     is_wide = mean_length < np.cos(np.radians(MIN_ANGLE_DEG) / 2)

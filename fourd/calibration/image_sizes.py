@@ -69,10 +69,10 @@ class SizeChoice:
 
 
 def size_hypotheses(camera: Camera, width: int, height: int) -> dict[str, Camera]:
-    """Return the cameras of images resized to ``width`` x ``height`` pixels, one per hypothesis of how they were
-    resized.
+    """Return hypotheses of how the images of one camera were resized to ``width`` x ``height`` pixels. The result
+    maps the name of each hypothesis to the camera of the resized images.
 
-    ``camera`` is the camera before resizing.
+    ``camera`` is the camera of the images before resizing.
 
     If the new size equals the camera's size, the only hypothesis is ``unchanged``. Otherwise the names are:
     - ``scaled``: width and height are scaled by the same factor. It replaces the next three hypotheses if one factor
@@ -161,11 +161,11 @@ def choose_size(
     that it predicts differs by more than :data:`MAX_BORDER_ERROR_PX` from the measured border. If no hypothesis fits
     the measured borders, none is excluded. The function chooses the remaining hypothesis with the smallest epipolar
     residual r. The evidence is clear if either of these conditions holds:
-    - there are at least two hypotheses, r is at most 3 pixels, and all other remaining hypotheses have residuals of at
-      least 1.5 * r;
-    - only the chosen hypothesis remains, an image has a black border of at least 2 pixels, and the residuals do not
-      contradict the borders. They contradict the borders if r is at most 3 pixels and an excluded hypothesis has a
-      residual below r / 1.5.
+    - there are at least two hypotheses, including the excluded ones, r is at most 3 pixels, and each remaining
+      hypothesis, except the chosen one, has a residual of at least 1.5 * r;
+    - only the chosen hypothesis remains, and an image has a black border of at least 2 pixels.
+    The evidence is never clear if residuals and borders contradict each other, that is, if r is at most 3 pixels but an
+    excluded hypothesis has a residual below r / 1.5.
 
     Args:
         matches: matches of each camera pair in pixels of the distorted images; the matches of all frames are
@@ -202,7 +202,7 @@ def _is_clear(
     mean = means[best]
     by_residuals = mean is not None and mean <= MAX_GOOD_PX and all(other >= MIN_LEAD * mean for other in others)
     contradicted = mean is not None and min(map(_or_infinity, means.values())) * MIN_LEAD < mean <= MAX_GOOD_PX
-    return (by_borders and not contradicted) or (by_residuals and len(means) > 1)
+    return not contradicted and (by_borders or (by_residuals and len(means) > 1))
 
 
 def _mean_residual(found: Residuals, resized: Sequence[int]) -> float | None:

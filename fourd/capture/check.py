@@ -84,8 +84,8 @@ def check_capture(path: Path | str, *, deep: bool = False, track: Track = untrac
 
     Args:
         path: the capture's folder.
-        deep: whether to decode all images and mattes. If False, the check decodes only some mattes. Of the other images
-            and mattes, it checks only the file names, and the image sizes in the file headers.
+        deep: whether to decode all image files and mattes. If False, the check decodes only a few mattes per camera.
+            For each file that it does not decode, it checks only the file name and the image size in the file header.
         track: progress callback.
     """
     path = Path(path)

@@ -151,8 +151,8 @@ class Capture:
         return all(footage.mattes is not None for footage in self._footage)
 
     def time(self, frame: int) -> float:
-        """Return the time f / max(F - 1, 1) in [0, 1] of a selected frame, which is frame f of the F frames in
-        ``time_span``."""
+        """Return the time of a selected frame, in [0, 1]. If the frame is number f, counted from 0, of the F frames in
+        ``time_span``, its time is f / max(F - 1, 1)."""
         return (self.frame_numbers[frame] - self.time_span.start) / max(len(self.time_span) - 1, 1)
 
     def image(self, camera: int, frame: int) -> Picture:

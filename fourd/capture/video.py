@@ -352,8 +352,8 @@ def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fra
     """Compute the frame rate in 1/s from the ascending times of at least 2 frames. Also return whether the times are
     evenly spaced.
 
-    The container may have rounded the times to multiples of its time base, ``base`` seconds. If the times are uneven,
-    as in phone videos, an interval with dropped frames counts as several intervals.
+    The times ``pts`` are integers in units of ``base`` seconds, the container's time base, so they may be rounded. If
+    the times are uneven, as in phone videos, an interval with dropped frames counts as several intervals.
 
     Raises:
         UserError: if several frames have the same time.

@@ -148,8 +148,9 @@ def align_videos(
     Args:
         files: path of each video by camera name.
         indices: index of each video.
-        offsets: number of frames of the common clock by which events appear later in a video than in the other videos,
-            keyed by camera name; missing offsets are 0.
+        offsets: offset of each video in frames of the common clock, keyed by camera name. In a video with the offset 7,
+            each event appears 7 frames later, counted from the start of the video, than in a video with the offset 0.
+            Missing offsets are 0.
 
     Raises:
         UserError: if a video ends before another video starts.

@@ -47,10 +47,13 @@ RAY_CELLS = 0.7
 keep would no longer cover the silhouette up to its contour."""
 
 CRUMB_FULLNESS = 0.5
-"""Minimum fullness of the fullest cell of a ray, as a fraction of the largest fullness on the adjacent rays. The
-fullness of a cell is the filled fraction of its neighbourhood. If the fullest cell is below the minimum, the ray does
-not keep it. This happens if the ray passes between the centres of the object's cells, so that all cells on the ray
-belong to excess parts."""
+"""Minimum fullness of a cell that a ray keeps, as a fraction of the largest fullness on the adjacent rays. The fullness
+of a cell is the filled fraction of its neighbourhood. Each ray keeps the fullest of its cells, but only if the
+fullness of this cell is at least the minimum.
+
+A cell belongs only to the ray that passes nearest to the cell's centre. The rays are less than a cell apart, so some
+rays pass between the centres of the object's cells. If such a ray has cells, they belong to excess parts in front of
+the object or behind it. The minimum excludes them, because their fullness is low."""
 
 NEAR_CELLS = 1.3
 """A point belongs to a cell if its distance from the cell's centre is at most this multiple of the cell's side."""

@@ -237,9 +237,11 @@ def chunks(cells: Floats) -> Iterator[Floats]:
 
 
 def interleaved_order(count: int) -> list[int]:
-    """Return the numbers 0 to count - 1, ordered such that successive cameras of a ring are far apart.
+    """Return the camera indices 0 to count - 1 in an order for processing the views one after another.
 
-    The first few views then reject most cells, because they look from very different directions.
+    The order is made for cameras that are numbered along a ring: indices that follow each other in the returned list
+    belong to cameras that are far apart in the ring. The first few processed views then reject most cells, because they
+    look from very different directions.
     """
     return sorted(range(count), key=lambda index: (index * 0.6180339887) % 1)
 

@@ -34,8 +34,9 @@ class SilhouetteView:
         matrix: (3, 3) float32 matrix product K * R of intrinsics and rotation.
         offset: (3,) float32 homogeneous pixel coordinates of the origin.
         focal: geometric mean of the focal lengths in pixels.
-        reach: for points at depth 1 inside the image, the largest possible motion of the projection in pixels per world
-            unit of the point's motion.
+        reach: upper bound of the speed at which a point's projection moves in the image, in pixels per world unit that
+            the point moves in space. It applies to points inside the image at a depth of one world unit. At depth z,
+            the bound is ``reach / z``.
         frame: left, top, right and bottom borders of the whole image, in pixel coordinates of the distance image.
         distance: (h, w) float32 signed distance to the silhouette in pixels, positive inside. A point outside the crop
             gets the value at the crop's nearest pixel. The point is at least as far outside the silhouette as this

@@ -71,7 +71,8 @@ MAX_MESSAGE = 4000
 """Maximum length of an error message in characters. If a message is longer, for example because it quotes a file, its
 middle is left out."""
 MAX_SHOWN = 200
-"""Maximum number of characters that an error message quotes from a file or camera name that is not valid UTF-8."""
+"""If the name of a file or camera is not valid UTF-8, the error message quotes at most this number of characters of the
+name."""
 
 LESS_MEMORY = "use smaller images or fewer points, or a machine with more memory"
 

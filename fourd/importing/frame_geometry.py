@@ -23,9 +23,10 @@ def turn_camera(camera: Camera, degrees: int) -> Camera:
     """Return the camera that fits the image of ``camera`` after the image is turned counter-clockwise by ``degrees``.
 
     In an image that is W pixels wide, a turn by 90 degrees maps the pixel (x, y) to (y, W - x), and the camera
-    coordinates (X, Y, Z) to (Y, -X, Z). Of OpenCV's distortion coefficients, the radial ones do not change. The pairs
-    (p2, p1) of tangential coefficients and (s1, s3), (s2, s4) of thin prism coefficients are turned like vectors in the
-    image.
+    coordinates (X, Y, Z) to (Y, -X, Z). Of OpenCV's distortion coefficients, the radial ones (k1 to k6) do not change.
+    The tangential coefficients form the pair (p2, p1), and the thin prism coefficients form the pairs (s1, s3) and
+    (s2, s4). Each pair is a vector in the image: its first coefficient belongs to the x axis, its second one to the y
+    axis. A turn by 90 degrees maps each pair (a, b) to (b, -a).
 
     Raises:
         ValueError: if the camera has skew or a tilted sensor, or ``degrees`` is not a multiple of 90.

@@ -17,7 +17,8 @@ REPORT = "report.json"
 
 
 def is_metric_calibration(folder: Path) -> bool:
-    """Return whether ``fourd calibrate`` wrote the calibration in ``folder``, so that it is in metres."""
+    """Return whether the calibration in ``folder`` is known to be in metres. The unit is known only if
+    ``fourd calibrate`` wrote the calibration."""
     return (folder / REPORT).is_file()
 
 

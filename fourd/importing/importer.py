@@ -58,8 +58,8 @@ class ImportOptions:
     Attributes:
         copy: copy files instead of linking them.
         unpack: write the frames of videos as images.
-        offsets: number of frames of the capture by which events appear later in a camera's video than in the other
-            videos, keyed by camera name.
+        offsets: time offsets of the videos in frames of the capture, keyed by camera name. Missing offsets are 0. In a
+            video with the offset n, each event appears n frames later than in a video with the offset 0.
         sync: estimate the offsets without applying them.
         apply_sync: estimate the offsets and apply those with high confidence.
         fps: frame rate of images in 1/s, or None if it is not known.

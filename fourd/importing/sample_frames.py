@@ -54,8 +54,9 @@ class SynchronizedFrames:
         Args:
             cameras: the source's cameras.
             indices: video indices by camera name.
-            offsets: number of frames of the common clock by which events appear later in a video than in the other
-                videos, keyed by camera name.
+            offsets: time offsets of the videos in frames of the common clock, which has the lowest frame rate of all
+                videos. The keys are camera names, and missing offsets are 0. In a video with the offset n, each event
+                appears n frames later than in a video with the offset 0.
 
         Raises:
             UserError: when there is no frame that all cameras have.

@@ -44,8 +44,8 @@ class ImportSettings:
     Attributes:
         copy: copy files instead of linking them.
         unpack: write the frames of videos as images.
-        offsets: number of frames of the capture by which events appear later in a camera's video than in the other
-            videos, keyed by camera name.
+        offsets: time offsets of the videos in frames of the capture, keyed by camera name. Missing offsets are 0. In a
+            video with the offset n, each event appears n frames later than in a video with the offset 0.
     """
 
     copy: bool = False

@@ -119,7 +119,9 @@ def _common_box(capture: Capture, camera: int, frames: Sequence[int]) -> Box:
 def _flat_colour(capture: Capture, cameras: Sequence[int], frames: Sequence[int]) -> Picture:
     """Choose the colour (3,) uint8 of FLAT_COLOURS that differs most from the subject.
 
-    This is the candidate with the largest 10% quantile of its RGB distances to the subject's pixels.
+    For each candidate, d is the 10% quantile of the RGB distances between the candidate and the subject's pixels: a
+    tenth of the pixels are closer to the candidate than d. The candidate with the largest d is chosen. If the subject
+    has no pixels, the first candidate is chosen.
     """
     frame = frames[len(frames) // 2]
     colours = []

@@ -30,8 +30,8 @@ class MatteState:
         key: hash of the inputs and settings of the mattes in the folder MATTES, or None if the hash is unknown.
         model: key of the learned models, a hash of their inputs and settings.
         new: key of the mattes in the folder NEW, or None if this folder has no mattes.
-        chosen: the matting method if the user chose the settings of the mattes with options of fourd matte, otherwise
-            None.
+        chosen: the matting method (one of METHODS) if the user chose the settings of the mattes, otherwise None. A user
+            chooses settings through the options of ``fourd matte``.
         inputs: hash of the capture's files at the time when the user chose the settings, or None if ``chosen`` is None.
     """
 

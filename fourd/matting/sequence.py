@@ -157,9 +157,10 @@ def matte_key(capture: Capture, settings: MatteSettings) -> str:
 
 
 def record_choice(capture: Path, settings: MatteSettings) -> None:
-    """Record whether the user chose the settings of the capture's mattes with options of fourd matte.
+    """Record whether the user chose the settings of the capture's mattes, for example the matting method.
 
-    ``settings`` are the settings of the mattes. They count as chosen if they differ from the default settings.
+    A user chooses settings through the options of ``fourd matte``. The mattes were made with ``settings``, which count
+    as chosen by the user if they differ from the default settings.
     """
     state = MatteState.read(capture)
     is_chosen = settings != MatteSettings()

@@ -43,7 +43,8 @@ class MeshView:
     ) -> MeshView:
         """Crop an undistorted image (H, W, 3) and its matte (H, W) to the subject.
 
-        If the matte is empty, the crop is the whole image, so that the fit keeps the mesh out of this image.
+        If the matte is empty, the crop is the whole image. Mesh fitting compares the rendered mesh with the matte only
+        inside the crop, so with this crop, the loss penalises the mesh wherever it projects into the image.
 
         Raises:
             ValueError: if the sizes of image, matte and camera differ.

@@ -112,14 +112,17 @@ def mix_own_colours(colours: Tensor, visibility: Tensor, own: Tensor | None, sha
     """Mix the colour that each source view shows at each point with the point's own colour, which is the same in all
     views.
 
+    Let c be the colour of a point in a view, v the point's visibility in this view, and o the point's own colour:
+    - If ``share`` is positive, the mixed colour is ``(1 - share) * c + share * o``, clamped to [0, 1], because baked
+      scenes store mixed colours as bytes.
+    - If ``share`` is 0, the mixed colour is ``v * c + (1 - v) * o``. The own colour thus replaces the view's colour if
+      the point is occluded in the view. The model of the static background uses this formula.
+
     Args:
         colours: (V, N, 3) colours of the views in [0, 1].
         visibility: (V, N) visibility weights in [0, 1]. Weights below MIN_VISIBILITY count as 0.
         own: (N, 3) own colours of the points, which do not depend on the view. If None, the result is ``colours``.
-        share: weight of the own colour in each mixed colour, in [0, 1). If it is positive, mixed colours are clamped to
-            [0, 1], because baked scenes store them as bytes. If it is 0, as in the model of the static background, the
-            own colour instead replaces the colours of views in which the point is occluded: for a view with visibility
-            v and colour c, the mixed colour is ``v * c + (1 - v) * own``.
+        share: weight of the own colour in each mixed colour, in (0, 1), or 0 to mix according to visibility.
 
     Returns:
         (V, N, 3) mixed colours, differentiable in ``colours`` and ``own``.

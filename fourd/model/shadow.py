@@ -17,8 +17,8 @@ HIDDEN = 32
 MARGIN = 0.5
 """Margin of the field around the foreground's bounds, as a fraction of the bounds' longest side."""
 FADE = 0.25
-"""Shadows fade out in a zone along the border of the field, because they would otherwise end in a sharp edge. The zone
-has this width, as a fraction of the distance from the centre to the border."""
+"""Width of the zone along the border of the field in which shadows fade out, as a fraction of the distance from the
+centre to the border. Without this zone, shadows would end in a sharp edge."""
 GAIN = 3.0
 """Factor that multiplies the MLP's output. It makes the field learn faster, which is needed because each frame is
 rendered in only a few training steps."""

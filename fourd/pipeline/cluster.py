@@ -71,8 +71,8 @@ def run_job(job: Job) -> Outcome:
     except UserError as error:
         return Outcome(node, tuple(text.getvalue().splitlines()), str(error))
     except KeyboardInterrupt:
-        # Stopping the work on the web page of ``fourd serve`` raises a KeyboardInterrupt here. It is caught, because
-        # Ray would otherwise report a cancelled task instead of the message below.
+        # If a user stops the training on the web page of ``fourd serve``, the stage raises a KeyboardInterrupt. It is
+        # caught here, because Ray would otherwise report a cancelled task instead of the message below.
         stopped = "expected a stage that finishes, got one that was stopped; run the command again to resume"
         return Outcome(node, tuple(text.getvalue().splitlines()), stopped)
     return Outcome(node, tuple(text.getvalue().splitlines()))

@@ -72,8 +72,8 @@ class Artefact:
     patterns: tuple[str, ...] = ()
 
     def fingerprint(self, root: Path | None = None) -> str:
-        """Return a hash of the path, and of the names, sizes and modification times of all files, whose contents are
-        not read. If the path is in the folder ``root``, the path relative to ``root`` is hashed."""
+        """Return a hash of the path, and of the names, sizes and modification times of all files. The contents of the
+        files are not read. If the path is in the folder ``root``, the path relative to ``root`` is hashed."""
         files = [file for pattern in self.patterns for file in sorted(self.path.glob(pattern))]
         if not self.patterns and self.path.exists():
             files = [self.path]

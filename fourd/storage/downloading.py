@@ -146,7 +146,8 @@ def fetch(url: StorageUrl, parent: Path, track: Track = untracked) -> Path:
 
     Args:
         url: an object, or a folder of objects.
-        parent: local folder that is missing, is empty, or has an earlier copy. A copy of another URL is removed.
+        parent: local folder that is missing, is empty, or has an earlier copy. If the earlier copy is of another URL,
+            all files in ``parent`` are removed first.
         track: reports progress.
 
     Raises:

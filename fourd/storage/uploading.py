@@ -25,10 +25,11 @@ from fourd.storage.versions import object_version
 
 MEGABYTE = 1 << 20
 PART_BYTES = 16 * MEGABYTE
-"""Size of the parts of an upload. One part is in memory at a time."""
+"""Size of the parts of an upload in bytes, except for very large files (see MAX_PARTS). One part is in memory at a
+time."""
 MAX_PARTS = 9000
-"""Maximum number of parts of an upload. S3 accepts at most 10,000. Files that need more parts of PART_BYTES bytes are
-sent in larger parts.
+"""Maximum number of parts of an upload. S3 accepts at most 10,000. If a file is larger than MAX_PARTS * PART_BYTES
+bytes, its parts are larger than PART_BYTES.
 """
 
 

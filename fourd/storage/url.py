@@ -11,8 +11,8 @@ from fourd.errors import UserError
 URL = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+)://(?P<rest>.*)", re.DOTALL)
 """A scheme has at least two characters, so that Windows paths such as C:/videos are not URLs."""
 SCHEMES = ("s3", "gs", "memory")
-"""Supported schemes, whose stores replace an object atomically when an upload is completed. memory:// is a store inside
-this process, for tests and programs."""
+"""Supported schemes, whose stores replace an object atomically when an upload is completed. memory:// is a store in the
+memory of this process, which tests and Python programs that import fourd can use."""
 
 
 @dataclass(frozen=True)

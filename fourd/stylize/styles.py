@@ -177,7 +177,7 @@ class Hatching:
 
     Attributes:
         width: width of the hatching lines where the brightness is 0, as a fraction of ``spacing``, from 0 to 1.
-            Brighter regions have thinner lines. If 0, there is no hatching.
+            Brighter regions have thinner lines. A width of 0 disables the hatching.
         spacing: distance between neighbouring lines along an image row, in pixels of an image with 1080 rows.
         levels: brightness values below which the first and the second layer of lines are drawn.
         colour: red, green and blue of the ink.

@@ -189,8 +189,9 @@ def _normals(part: Part, local: Array) -> Array:
     """Return the outward normals (N, 3) of the part, before scaling, at the surface points ``local`` (N, 3). They are
     not normalised.
 
-    At each surface point, one sphere inside the part touches the surface. The normal is the vector from the centre of
-    this sphere to the surface point.
+    Before scaling, the part is the union of spheres whose centres lie on the segment between the centres of its two end
+    spheres. Their radii change linearly from one end to the other. One of these spheres touches the surface at the
+    surface point. The normal is the vector from the centre of this sphere to the surface point.
     """
     normal = local.copy()
     if part.length > 0:

@@ -56,10 +56,10 @@ class RateConfig:
     xyz_spacings: float = 0.6
     """Initial learning rate of point positions, as a fraction of the point spacing."""
     xyz_halving_updates: int = 60
-    """Number H of updates after which the learning rate of a point's position is halved. After n updates of the point,
-    its learning rate has been multiplied by 1 / (1 + n / H), in addition to the exponential decay of all learning
-    rates. If H is 0, there is no such reduction. Without the reduction, points that no image constrains would move at
-    random, and longer training would make novel views worse."""
+    """Constant H in the factor 1 / (1 + n / H), by which the learning rate of a point's position is multiplied after n
+    updates of the point. The factor is 1/2 after H updates and 1/3 after 2 * H updates, and it is applied in addition
+    to the exponential decay of all learning rates. If H is 0, there is no such reduction. Without the reduction, points
+    that no image constrains would move at random, and longer training would make novel views worse."""
     sh: float = 5e-3
     """Learning rate of explicit spherical harmonics and of the points' own colours (see `model.own_colour`)."""
     final: float = 0.05
@@ -111,11 +111,11 @@ class BackgroundConfig:
     xyz_rate: float = 0.02
     """Learning rate of the positions of background points, as a fraction of the point spacing."""
     least_layers: int = 12
-    """Minimum of the number K of composited points in a full scene. Each training step samples K between
-    `background.least_layers` and `layers`, and composites at most K points at each pixel. A larger minimum prevents
-    blur on floors that are viewed at a grazing angle, where many points overlap at each pixel. If K is too small there,
-    the farthest of these points are missing in the image. Training compensates by enlarging the discs, so even more
-    points overlap, and the image becomes blurred."""
+    """Smallest value of K in a full scene, where K is the maximum number of points that a training step composites at
+    each pixel. Each step samples K between `background.least_layers` and `layers`. A larger `background.least_layers`
+    prevents blur on floors that are viewed at a grazing angle, where many points overlap at each pixel. If K is too
+    small there, the farthest of these points are missing in the image. Training compensates by enlarging the discs, so
+    even more points overlap, and the image becomes blurred."""
     encoder_every: int = 8
     """Update the background's image encoder only in steps that use a clean plate and whose step number is divisible by
     `encoder_every`."""
@@ -214,8 +214,8 @@ class SegmentConfig:
     """Segments of a long capture. A segment is a range of frames that has its own model."""
 
     frames: int | None = None
-    """Maximum number of frames of a segment. Each segment is trained with the whole step or time budget. If null, one
-    model represents all frames."""
+    """Maximum number of frames of a segment. The budget (`max_steps`, `max_seconds`) applies to each segment separately
+    and is not divided among the segments. If null, one model represents all frames."""
     overlap: int = 4
     """Number of frames that two successive segments have in common. In these frames, the scene fades from the earlier
     segment to the later one."""
@@ -259,12 +259,12 @@ class TrainConfig:
     point spacing. Without this inset, the initial silhouettes would be too large, because each point is rendered as a
     disc around its position, and training would first have to shrink them."""
     layers: int = 15
-    """Maximum of the number K of composited points. Each training step samples K between `least_layers` and `layers`,
-    and composites at most K points at each pixel."""
+    """Largest value of K, where K is the maximum number of points that a training step composites at each pixel. Each
+    step samples K between `least_layers` and `layers`."""
     least_layers: int = 8
-    """Minimum of the number K of composited points (see `layers`). Steps with a small K make surfaces opaque after few
-    layers, which is needed because an exported scene composites fewer layers than training does. Full scenes use
-    `background.least_layers` instead of this key."""
+    """Smallest value of K, the maximum number of points that a training step composites at each pixel (see `layers`).
+    Steps with a small K make surfaces opaque after few layers, which is needed because an exported scene composites
+    fewer layers than training does. Full scenes use `background.least_layers` instead of this key."""
     samples: int = 2
     """Number of samples per pixel along rows and along columns while training, from 1 to 4. A pixel is the mean of all
     its samples. One sample per pixel gives ragged contours and a lower PSNR in novel views than 2 x 2 samples."""

@@ -68,8 +68,9 @@ class StepSampler:
         """Determine the sample of the training step that this rank performs. W ranks perform W successive steps in
         parallel, and ``step`` is the number of the first of them.
 
-        Let F be the number of frames that the rank owns, and V the number of training views. In each epoch of F * V
-        steps, the rank samples every view of each of its frames exactly once.
+        Let F be the number of frames that this rank owns, and V the number of training views. An epoch of this rank
+        consists of F * V of its own steps, in which it samples every training view of each of its frames exactly once.
+        Steps of other ranks do not count.
         """
         views, group = len(self._training), self._group
         count = len(self._frames) * views

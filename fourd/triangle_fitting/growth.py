@@ -26,8 +26,8 @@ of each shift, as a fraction of the edge's length."""
 def prune_and_grow(
     soup: Soup, weights: Tensor, priority: Tensor, cameras: Sequence[Camera], most: int, generator: torch.Generator
 ) -> None:
-    """Remove the triangles that contribute almost nothing to the images. Then split and duplicate triangles until their
-    number is about GROWTH times that of the remaining triangles, but at most ``most``.
+    """Remove the triangles that contribute almost nothing to the images. Then split or duplicate some of the remaining
+    triangles, until the number of triangles is about GROWTH times the number after the removal, but at most ``most``.
 
     Args:
         soup: the triangles, which are changed in place.

@@ -43,8 +43,8 @@ class Phase:
 
 def phase_at(share: float, settings: TriangleSettings) -> Phase:
     """Return the phase when the fraction ``share``, in [0, 1], of the budget is spent. The result is used only
-    while ``share`` is below ``settings.hard_share``. The fit then continues with opaque triangles, which need only
-    :func:`surface_rate`."""
+    while ``share`` is below ``settings.hard_share``. From ``settings.hard_share`` on, the triangles are opaque, and the
+    only scheduled quantity is the factor for their learning rates (:func:`surface_rate`)."""
     rate = SLOWEST_RATE**share
     if share < settings.soft_share:
         return Phase(SIGMA_RANGE[0], 0.0, rate, True)

@@ -93,6 +93,20 @@ def test_borders_decide_without_matches(rng: np.random.Generator) -> None:
         choose_size({}, cameras, [(1088, 1920)] * 4)
 
 
+def test_borders_that_contradict_the_matches_are_not_clear(rng: np.random.Generator) -> None:
+    """Catches a dark edge of the scene that is taken for a black border, although the matches show stretching."""
+    cameras = _off_centre_cameras()
+    true = [
+        size_hypotheses(camera, 1080, 1920)["stretched"] if index < 2 else camera
+        for index, camera in enumerate(cameras)
+    ]
+    sizes = [(camera.width, camera.height) for camera in true]
+    choice = choose_size(_project_to_matches(rng, true), cameras, sizes, {0: Borders(0, 7.1, 0, 7.0)})
+    assert choice.name == "letterboxed"
+    assert choice.residuals["letterboxed"] is not None
+    assert not choice.is_clear
+
+
 @pytest.mark.parametrize("bar", [0.0, 3.0, 7.06, 12.5])
 def test_black_borders_have_subpixel_accuracy(rng: np.random.Generator, bar: float) -> None:
     """Catches a partly covered row that counts as a full row. Also catches noise or dark images that are measured as

@@ -2,7 +2,7 @@
 
     python tools/scale/cost_model.py --cameras 60 --frames 18000 --size 3840 2160 --nodes 16 --cores 16
 
-The coefficients of the stages import and mattes are constants in fourd.pipeline.plan. All other coefficients were
+The coefficients of two stages, "import" and "mattes", are constants in fourd.pipeline.plan. All other coefficients were
 measured with tools/scale/measure_costs.py and are stored in tools/scale/costs.json. Coefficients that are times
 are CPU seconds of one core of the machine on which they were measured. Use --speed for other machines: if their cores
 are twice as fast, pass --speed 2. Use --price to pass the hourly price of a node.
@@ -204,8 +204,9 @@ def predict(costs: Costs, capture: Capture, machines: Machines) -> tuple[StageCo
 
 
 def segments_core_s(costs: Costs, capture: Capture, slots: int) -> list[float]:
-    """Return the CPU seconds to train each segment, if ``slots`` processes with one core each train the segments. The
-    first segment of a process includes the time to start the process."""
+    """Return the CPU seconds to train each segment. The segments are distributed over ``slots`` processes. Each process
+    has one core and trains its segments one after the other. The time for the first segment of a process includes the
+    time to start the process."""
     core_s, count = segment_core_s(costs, capture), len(capture.segments)
     return [core_s + costs.stage_start_s if index < slots else core_s for index in range(count)]
 

@@ -6,10 +6,10 @@
 The program opens the page of the scene with an empty browser cache, from a server that limits the data rate to --mbps.
 It prints the time from opening the page to the start of playback and, for playback, the pauses, the images per second
 and the amount of received data. It also moves the time bar to frames that are not in memory, and prints the time until
-each frame is shown. The scene is packed in a tier and a level, which determine its size and quality. If --tier is not
-given, the program chooses the best ones that fit the data rate --mbps, as `fourd web --max-mbps` does. Use --repeat to
-make the scene longer, by repeating its frames with new frame numbers. The program needs Chromium and the package
-playwright.
+each frame is shown. The scene is packed in a tier (such as "stream") and a level of this tier (a set of quantisation
+steps), which determine its size and quality. If --tier is not given, the program chooses the tier and the level with
+the best quality that can be played at the data rate --mbps, as `fourd web --max-mbps` does. Use --repeat to make the
+scene longer, by repeating its frames with new frame numbers. The program needs Chromium and the package playwright.
 """
 
 from __future__ import annotations

@@ -252,9 +252,9 @@ class DualDepthPeeling:
     def _peel(self, index: int, front_only: bool = False) -> None:
         """Run geometry pass ``index``, counted from 0.
 
-        A rank is the position of a disc in depth order, counted from 1 at the nearest disc. In each pixel, the pass
-        finds the smallest and the largest rank strictly between the two ranks that the previous pass has found. If
-        ``front_only`` is True, only the smaller of these two ranks is a bound.
+        A rank is the position of a disc in depth order, counted from 1 at the nearest disc. In each pixel, let a be the
+        smallest rank and b the largest rank that the previous pass found. This pass finds the smallest and the largest
+        of the ranks r with a < r < b. If ``front_only`` is True, the condition is only a < r.
         """
         targets = self._targets
         bounds, previous_bounds = f"bounds {index % 2}", f"bounds {1 - index % 2}"

@@ -105,9 +105,11 @@ class GLRenderer:
     def _release_styled(self) -> None:
         """Free the objects that only styles need, and all frame textures.
 
-        The frame textures are freed so that no outdated normals are drawn. Frames are uploaded with estimated normals
-        only while a style is used. If the textures were kept and a style was chosen again later, the background points
-        would count as already uploaded, and they would be drawn with the normals of the earlier upload.
+        The frame textures are freed so that no outdated normals are drawn. A frame without stored normals is uploaded
+        with estimated normals while a style is used, and without normals otherwise. If the textures were kept, uploads
+        without normals could replace or move the background points, while the normals of the earlier background points
+        would stay in the textures. When a style is used again, a background that is already in the textures is not
+        uploaded again, so its points would be drawn with these outdated normals.
         """
         if self._styled is None:
             return

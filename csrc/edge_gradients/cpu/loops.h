@@ -6,8 +6,8 @@
 
 namespace fourd::edge_gradients {
 
-// What one pair of neighbouring pixels, between whose centres a visibility edge passes, adds to the gradient of one
-// vertex.
+// One term of the gradient of one vertex. The term comes from one pair of neighbouring pixels: a visibility edge
+// (edge_gradients.h) passes between the centres of the two pixels, and moves if the vertex moves.
 struct Contribution {
     std::uint32_t vertex;  // Index over all instances: instance * vertices + vertex.
     float x, y, z, w;

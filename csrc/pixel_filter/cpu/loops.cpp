@@ -14,8 +14,8 @@ namespace {
 
 constexpr int kRun = 64;
 
-// Computes the weighted mean of each byte of the row rows.centre and the bytes above and below it, for `count` bytes
-// from byte `first` on.
+// Filters `count` bytes along columns, from byte `first` of the row on. out[i] is the weighted mean of three bytes: the
+// byte first + i of rows.centre, the byte above it and the byte below it.
 FOURD_INLINE void filter_columns(const Rows& rows, std::size_t first, int count, float side, float* FOURD_RESTRICT out) {
     const std::uint8_t *above = rows.above + first, *centre = rows.centre + first, *below = rows.below + first;
     for (int i = 0; i < count; ++i) out[i] = mean_of(above[i], centre[i], below[i], side);

@@ -11,7 +11,8 @@ namespace {
 
 constexpr std::size_t kRowsPerTask = 32;
 
-// Copies of rows that a task needs to filter a band of rows in place.
+// The buffers for a task's copies of unfiltered rows. A task filters a band of rows in place. It reads a row from a
+// copy if the row may already be overwritten in the image.
 struct Copies {
     std::uint8_t *above, *below;  // The rows next to the band, which other tasks overwrite.
     std::uint8_t* recent[2];      // The row that is filtered, and the row before it.

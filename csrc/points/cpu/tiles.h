@@ -66,9 +66,10 @@ struct Loops {
     // of join_normals.
     void (*draw_surface)(const Tile& tile, const Surface& out);
 
-    // Computes the gradient of a tile. Each pair of a point and a tile has one slot, an index into arrays of results.
-    // slots[i] is the slot of the tile's entry i (tiles/depth_bins.h). The gradient of the point is written to its row
-    // of `sums`, which has 5 + channels floats per slot: one SplatGradient, and then the gradient of the features.
+    // Computes the gradient of a tile. Each pair of a point and a tile has one row in `sums`, and the index of this row
+    // is the slot of the pair (tiles/depth_bins.h). For each point tile.entries[i] of the tile, the function writes the
+    // gradient with respect to this point, summed over the pixels of this tile only, to the row slots[i]. A row has
+    // 5 + channels floats: one SplatGradient, and then the gradient of the features.
     void (*render_backward)(const Tile& tile, const ImageGradient& gradient, const Visits& visits,
                             const std::size_t* slots, float* sums);
 

@@ -14,8 +14,8 @@ using tiles::cuda::EntryBuffer;
 
 constexpr int kMaxLayersBackward = 64;
 
-// Returns the size in bytes of the workspace for render, draw, render_backward or visibility, with space for `entries`
-// (point, tile) pairs.
+// Returns the size in bytes of the workspace for render, draw, render_backward or visibility. `entries` is the number of
+// (point, tile) pairs for which the workspace has space.
 std::size_t workspace_bytes(std::size_t count, int channels, int width, int height, std::size_t entries);
 
 // Renders a cloud. The function ignores settings.threads and settings.simd.

@@ -205,8 +205,8 @@ std::int32_t build_subtree(Reference* references, const Range& range, int depth,
     return index;
 }
 
-// A task builds the subtree of a range. In the top of the tree, the subtree becomes child `lane` of the node with the
-// index `node`.
+// A task builds the subtree of a range. The parent of this subtree is the node with the index `node` in the top of the
+// tree, and the subtree becomes child `lane` of this parent.
 struct Task {
     Range range;
     std::int32_t node;

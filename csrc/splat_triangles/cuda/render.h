@@ -11,8 +11,8 @@ namespace fourd::splat_triangles::cuda {
 
 using tiles::cuda::EntryBuffer;
 
-// Returns the size in bytes of the workspace for render or render_backward, with space for `entries` (triangle, tile)
-// pairs.
+// Returns the size in bytes of the workspace for render or render_backward. `count` is the number of triangles, and
+// `entries` is the number of (triangle, tile) pairs for which the workspace has space.
 std::size_t workspace_bytes(std::size_t count, int channels, int width, int height, std::size_t entries);
 
 // Renders the triangles. For each triangle, also writes its largest compositing weight over all pixels to `weight`

@@ -24,7 +24,8 @@ struct LineImage {
 };
 
 struct Loops {
-    // Draws the rows [begin, end) without lines, and finds the lines of these rows.
+    // Shades the pixels of the rows [begin, end), and writes their colours to `out`. Also finds the lines of these rows
+    // and writes them to `lines`, but does not draw them.
     void (*shade)(const Surface& surface, const Style& style, int begin, int end, const LineImage& lines,
                   std::uint8_t* out);
     // Draws the lines of rows [begin, end) over the picture. Before the call, shade() must have found the lines of

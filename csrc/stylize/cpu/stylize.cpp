@@ -14,9 +14,9 @@ namespace {
 // pixels that one column reads fit into the L1 cache, so pixels that the next column reads again are still there.
 constexpr int kRowsPerTask = 8;
 
-// Decides when the lines (strokes at depth and normal edges) in a task's rows can be drawn: all tasks with rows at most
-// `reach` rows away must have finished shading. Lines are drawn soon after shading, while the rows are still in the L2
-// cache.
+// Decides when the lines in the rows of a task can be drawn. A line is a stroke where the depth or the normal of the
+// surface changes abruptly. The lines can be drawn as soon as shading is finished in all tasks that have a row at most
+// `reach` rows away from these rows. Lines are drawn soon after shading, while the rows are still in the L2 cache.
 class Progress {
   public:
     Progress(int tasks, int reach) : tasks_(tasks), neighbours_((reach + kRowsPerTask - 1) / kRowsPerTask), missing_(tasks) {

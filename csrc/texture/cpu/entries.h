@@ -123,8 +123,10 @@ FOURD_INLINE void add_four(const Four& from, float weight, float* to) {
 #endif
 }
 
-// Adds the contributions of the entries to the gradient sums of the band's texels. If the pixel of an entry reads a
-// texel of the band, the contribution to this texel is the gradient of the pixel times the weight of the texel.
+// Adds the contributions of the entries to the gradient sums of the band's texels. The pixel of an entry reads four
+// texels of the mip level, and at least one of them is in the band. To the sum of each of the four texels that is in
+// the band, the function adds the gradient of the pixel times the weight with which the pixel reads the texel. The
+// other texels are skipped.
 template <int Channels>
 FOURD_INLINE void add_entries(const Query& query, const Batch& b, std::size_t first, const Entry* entries,
                               const float* gradient, const BandSums& band) {

@@ -27,8 +27,8 @@ struct HalvedRows {
     bool halves_rows;
 };
 
-// Calls work(rows) for all rows of a level, on all workers of the team. The rows of all faces of all items are numbered
-// consecutively.
+// Divides the rows of a level into blocks of consecutive rows, and calls work(rows) once for each block. The workers of
+// the team share the blocks. The rows of all faces of all items are numbered consecutively.
 template <typename Work>
 void for_halved_rows(const Shape& shape, int level, Team& team, const Work& work) {
     constexpr std::size_t kFloatsPerTask = std::size_t{1} << 15;

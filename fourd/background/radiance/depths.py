@@ -94,8 +94,8 @@ def median_inverse_depths(field: OptimizedField, plate: ReducedPlate, xy: Array)
 
 
 def _keep_confirmed(index: int, merged: Sequence[Surface], measured: Surface, continued: Surface) -> Surface:
-    """Return a surface whose measured and confirmed cells are those of ``merged[index]``. Its other cells are taken
-    from ``continued``."""
+    """Return ``merged[index]``, with some cells replaced by those of ``continued``: the cells whose depth is neither
+    measured by stereo nor confirmed by another plate."""
     surface = merged[index]
     cells = np.flatnonzero(surface.known & ~measured.known)
     agreeing, occluded = count_agreement(index, merged, cells)

@@ -71,6 +71,7 @@ class OccupancyGrid:
         self.density.scatter_reduce_(0, cells, density, "amax")
 
     def cell_of(self, xyz: Tensor) -> Tensor:
-        """Return the indices (...), in the array ``density``, of the cells that contain world points (..., 3)."""
+        """Find the cells that contain world points (..., 3), and return their indices in the array ``density``. The
+        indices have the shape of the points without the last axis."""
         ijk = (self.contraction.to_unit(xyz) * self.cells).long().clamp(0, self.cells - 1)
         return (ijk[..., 2] * self.cells + ijk[..., 1]) * self.cells + ijk[..., 0]

@@ -91,7 +91,7 @@ class ReducedPlate:
     Attributes:
         camera: pinhole camera of the reduced plate.
         rgb: (H, W, 3) uint8 colours.
-        seen: (H, W) bool, true for pixels that contain no part of a hole, where the plate does not show the background.
+        seen: (H, W) bool, true for pixels in whose whole area the plate shows the background.
     """
 
     camera: Camera

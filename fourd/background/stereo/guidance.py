@@ -19,11 +19,11 @@ from fourd.background.stereo.patches import Floats, GreyView
 Array = NDArray[np.float64]
 
 GUIDE_WEIGHT = 0.01
-"""Weight that makes corrections decay with the distance from known cells. The correction of a known cell is its inverse
-depth minus the guide's inverse depth. The correction of an unknown cell is a weighted mean of two kinds of values: the
-corrections of its neighbours, with weights of at most 1, and a constant 0, with GUIDE_WEIGHT. With this weight, the
-correction halves every seven cells. If few cells are known, they are unreliable, and the correction must decay faster;
-therefore, GUIDE_WEIGHT is divided by the square of the fraction of known cells."""
+"""Weight of the value 0 in the correction of an unknown cell. The correction of a known cell is its inverse depth minus
+the guide's inverse depth. The correction of an unknown cell is the weighted mean of its neighbours' corrections (each
+with a weight of at most 1) and of the value 0 (with the weight GUIDE_WEIGHT). The value 0 makes corrections decay with
+the distance from known cells: they halve every seven cells. If few cells are known, they are unreliable, and the
+corrections must decay faster; therefore, GUIDE_WEIGHT is divided by the square of the fraction of known cells."""
 MIN_GUIDE_FACTOR = 0.25
 """Minimum of the corrected inverse depth, as a multiple of the guide's inverse depth. It prevents the correction from
 making the inverse depth negative."""
@@ -57,8 +57,9 @@ def _complete(surface: Surface, view: GreyView, guide: Array, xyz: Array) -> Sur
 
 
 def _correct_guide(known: Array, guide: Array, grey: Floats) -> Array:
-    """Complete the known inverse depths (R, C), in which 0 marks unknown cells. The unknown cells get the guide's
-    inverse depth plus the extrapolated correction."""
+    """Fill the unknown cells of an inverse-depth map. The array ``known`` (R, C) has the inverse depths of the known
+    cells, and 0 in the unknown cells. An unknown cell gets the guide's inverse depth plus the extrapolated correction,
+    but at least MIN_GUIDE_FACTOR times the guide's inverse depth."""
     unknown = known == 0
     if unknown.all():
         return guide

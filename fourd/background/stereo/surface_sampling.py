@@ -24,8 +24,9 @@ EDGE_TOLERANCE = 0.05
 with a relative error above this value."""
 MAX_PARTS = 2
 """Maximum number of parts into which a square is divided along each axis. More parts would close all gaps between
-points on steep surfaces. But each point of a floor would then hide the lower half of the points behind it, which would
-shift the floor's texture upwards in the image by half the size of a point."""
+points on steep surfaces. But points are drawn as discs, and the points of a floor would then be so dense that each disc
+hides the lower half of the disc behind it. This would shift the floor's texture upwards in the image by half the size
+of a point."""
 
 
 @dataclass(frozen=True, eq=False)

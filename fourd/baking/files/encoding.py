@@ -12,8 +12,9 @@ from fourd.ops.shade.harmonics import SH_TERMS
 
 Tier = Literal["full", "stream", "video", "light"]
 """Quality of a packed scene. "full" looks like the unpacked scene. "stream" has coarser quantisation steps. "video"
-stores points like "stream", but stores the colours in the source views as images. "light" has no source views and
-stores all colours as spherical harmonics."""
+is like "stream", except that it does not store a colour for each point and source view: for each source view, it stores
+one image, from which the points' colours in this view are computed. "light" has no source views and stores all colours
+as spherical harmonics."""
 TIERS: tuple[Tier, ...] = ("full", "stream", "video", "light")
 
 SH_NUMBERS = 3 * SH_TERMS

@@ -124,9 +124,9 @@ def _sample_cameras(camera: Camera, samples: int) -> Iterator[Camera]:
 
 
 def _clip(xyz: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Return clip coordinates (V, 4). The far plane lies behind all vertices. The near plane lies between the camera
-    and the nearest vertex in front of it. If the near plane's depth would be less than ``_NEAR_SHARE`` times the far
-    plane's depth, the near plane is moved to this depth, and can clip vertices."""
+    """Return clip coordinates (V, 4). The far plane lies behind all vertices. The near plane has half the depth of the
+    nearest vertex in front of the camera, but at least ``_NEAR_SHARE`` times the depth of the far plane. Because of
+    this minimum, vertices very close to the camera can be clipped."""
     points = xyz.astype(np.float64) @ camera.rotation.T + camera.translation
     depth = points[:, 2]
     in_front = depth[depth > 0]

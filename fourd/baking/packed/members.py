@@ -243,8 +243,9 @@ def _decode_view(member: bytes, points: int, encoding: CloudEncoding) -> NDArray
 def _sample_view(
     member: bytes, xyz: NDArray[np.float32], mean: NDArray[np.uint8], camera: Camera, scale: float
 ) -> NDArray[np.uint8]:
-    """Convert a view's member with an image to the content of a member without images: the weight codes, then the
-    differences of the colours from the mean colours, in steps of 1/255.
+    """Decode the member of a view in a scene that stores colours as images. Return the content that the member would
+    have in a scene without images: the weight codes, then the differences of the points' colours from their mean
+    colours, in steps of 1/255.
 
     The differences are sampled from the view's image. ``mean`` has the mean colours as planes (3, N).
     """

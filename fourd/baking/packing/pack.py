@@ -35,7 +35,9 @@ class PackReport:
         parts: for each kind of member, such as "points" or "views", the mean compressed size per frame in bytes. For
             "background", the total size, because the background is stored once.
         streamed: mean compressed size, in bytes per frame, of the members that a player fetches for one viewing camera:
-            the members of ``manifest.neighbours`` source views, and all members that do not belong to a source view.
+            the members of N source views, and all members that do not belong to a source view. N is the value of
+            ``manifest.neighbours``, or the number of source views if this number is smaller. The background is not
+            included, because it is fetched once.
         colour_psnr: PSNR, in dB, of the packed colours of the points in the source views against the original colours.
             None if the tier does not store these colours as images.
     """
@@ -67,8 +69,8 @@ def pack_scene(
         level: index of the tier's level in :data:`fourd.baking.packing.precision.LEVELS`. 0 is the finest. None selects
             the level of :data:`fourd.baking.packing.precision.DEFAULT_LEVELS`.
         storage: compression and order of the members.
-        has_normals: whether the packed scene has normals, which web pages need to draw it in a style
-            (:mod:`fourd.stylize`). If ``source`` has none, they are estimated.
+        has_normals: whether the packed scene has normals. Web pages need normals to draw the scene in a style
+            (:mod:`fourd.stylize`). If ``source`` has no normals, they are estimated.
 
     Raises:
         UserError: if ``source`` is not a valid scene or has no frames, or if ``out`` cannot be written.

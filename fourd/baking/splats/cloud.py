@@ -110,8 +110,9 @@ def _harmonics_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the matrix (16, 16) that rotates spherical-harmonics coefficients. It mixes only coefficients of the same
     degree.
 
-    The matrix solves a linear system: the colour in each direction d after the rotation must equal the colour in the
-    direction R.T @ d before it, where R is ``rotation``. The system is overdetermined but has an exact solution.
+    The matrix solves a linear system: for each direction d, the colour of the rotated splat in the direction d must
+    equal the colour of the original splat in the direction R.T @ d, where R is ``rotation``. The system is
+    overdetermined but has an exact solution.
     """
     directions = np.random.default_rng(0).normal(size=(4 * SH_TERMS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

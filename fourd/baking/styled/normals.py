@@ -17,12 +17,12 @@ _SAMPLES = 4096
 
 
 def add_normals(frame: BakedFrame, manifest: SceneManifest, *, is_background: bool = False) -> BakedFrame:
-    """Return ``frame`` with estimated normals, which point to the side of a surface that the manifest's source cameras
-    see.
+    """Return ``frame`` with estimated normals. The normal of a point is directed out of the surface, towards those
+    source cameras of ``manifest`` that see the point.
 
     Args:
-        is_background: whether the points surround the cameras. If true, points that no source camera sees get normals
-            that are directed towards the source cameras.
+        is_background: whether the points surround the cameras. If true, the normals of points that no source camera
+            sees are also directed towards the source cameras.
     """
     return replace(frame, normals=_estimate(frame.xyz, frame.blend_weights, manifest, is_background))
 

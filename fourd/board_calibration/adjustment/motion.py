@@ -48,8 +48,8 @@ def board_motion(frames: Sequence[int], boards: Poses) -> Array:
 
 
 def _window(run: NDArray[np.intp], place: int) -> NDArray[np.intp]:
-    """Return the indices of the frames from which the motion at the position ``place`` of the sequence ``run`` is
-    computed."""
+    """Return the indices of the frames from which the board's motion at the frame ``run[place]`` is computed. ``run``
+    contains the indices of the frames of one sequence."""
     half = min(HALF_WINDOW, place, len(run) - 1 - place)
     if half:
         return run[place - half : place + half + 1]

@@ -276,7 +276,8 @@ def lens_vector(camera: Camera) -> Array:
 
 
 def cross_matrices(vectors: Array) -> Array:
-    """Return the cross-product matrices (N, 3, 3) of vectors v (N, 3): the matrix of v times a vector u is v x u."""
+    """Return the cross-product matrices (N, 3, 3) of the vectors (N, 3). The cross-product matrix M of a vector v
+    satisfies M @ u = v x u for every vector u."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], axis=1)

@@ -135,8 +135,8 @@ def move(state: RigState, free: Free, shared: Array, boards: Array) -> RigState:
 
 
 def _weigh(state: RigState, corners: Corners, views: Views, errors: Errors) -> tuple[Weights, Array]:
-    """Return the weights of the corners and views, and the derivatives (N, 2, 7) with respect to the views' shared
-    errors."""
+    """Return the weights of the corners and views, and the derivatives (N, 2, 7) of the projected corners with respect
+    to the 7 error components that all corners of a view share (see :mod:`fourd.board_calibration.adjustment.noise`)."""
     found = project(state, corners)
     shared = shared_derivatives(state, corners, found)
     residual = corners.pixels - found.pixels

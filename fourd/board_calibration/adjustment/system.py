@@ -1,8 +1,9 @@
-"""Normal equations of a rig, summed over views. A view is one camera's image of the board in one frame. The errors that
-all corners of a view share are eliminated per view.
+"""Normal equations of a rig, summed over views. A view is one camera's image of the board in one frame.
 
 The unknowns are the C cameras (17 parameters each), the shape of a board with K corners (3 * K + 1 parameters) and the
-F positions of the board (6 parameters each).
+F positions of the board (6 parameters each). Each view has 7 additional unknowns, the errors that all its corners share
+(see :mod:`fourd.board_calibration.adjustment.noise`). Before the views are summed, a Schur complement eliminates these
+additional unknowns from the equations of each view.
 """
 
 from __future__ import annotations

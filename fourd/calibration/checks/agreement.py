@@ -118,8 +118,8 @@ def match_capture(path: Path | str, track: Track | None = None) -> CaptureMatche
 def _match_unmatched(
     pictures: Sequence[Picture], cameras: Sequence[Camera], matches: Mapping[Pair, Matches]
 ) -> dict[Pair, Matches]:
-    """Match those cameras once more that have too few matches in every pair, this time with all other cameras. Their
-    calibrations may be so wrong that their neighbours were chosen wrongly.
+    """Find the cameras that have too few matches in every pair, and match each of them again, this time with all other
+    cameras. Their calibrations may be so wrong that their neighbours were chosen wrongly.
 
     This is done only if at least two cameras, but at most a quarter of all cameras, have too few matches. It is not
     needed for up to 8 cameras, because all their pairs have been matched.

@@ -38,7 +38,8 @@ PLATES_HELP = (
 @dataclass(frozen=True)
 class Arguments:
     """The command prints mean PSNR, SSIM and LPIPS, for whole images and inside the matte's bounding box. For a scene
-    with background, it also prints the PSNR without background surfaces that no training view shows."""
+    with background, it also prints the PSNR over the pixels that show the subject or a part of the background that is
+    visible in at least one training view."""
 
     run: RunPath
     """Run folder."""

@@ -22,7 +22,8 @@ The limit is above 0, because a deviation that does not occur in the frames from
 still occur in other frames.
 """
 PRIOR_PIXELS = 500.0
-"""Weight of the default fractions when the fractions are learned, as a number of pixels."""
+"""Strength of the prior when :func:`fit_deviations` learns the two fractions in :class:`Deviations` from pixels. The
+prior consists of the default values of the fractions, which count as much as this number of pixels."""
 SHARE_ITERATIONS = 3
 MIN_LOG_LIKELIHOOD = np.float32(-20.0)
 CONFIDENT_FRAMES = 3.0

@@ -56,9 +56,14 @@ def log_density(shares: NDArray[np.floating], bins: int) -> Floats:
 
 
 def bin_indices(rgb: Picture, bins: int) -> NDArray[np.int32]:
-    """Return, for each colour in ``rgb``, an array of shape (..., 3), its index into a flattened RGB histogram.
+    """Return the index of each colour's bin in a flattened RGB histogram.
 
-    The histogram has ``bins`` bins along each colour axis.
+    Args:
+        rgb: (..., 3) uint8 colours.
+        bins: number of bins of the histogram along each colour axis.
+
+    Returns:
+        (...) int32 indices, one per colour.
     """
     bin_rgb = (rgb.astype(np.int32) * bins) >> 8
     return np.asarray((bin_rgb[..., 0] * bins + bin_rgb[..., 1]) * bins + bin_rgb[..., 2], np.int32)

@@ -25,9 +25,9 @@ SURROUND_PX = 20
 """Width in pixels of the band around the subject whose colours represent the background."""
 MIN_WEIGHT = np.float32(0.04)
 COLOUR_MARGIN = np.float32(1.0)
-"""Two weights decrease from 1 towards 0 as the log-odds that a pixel's colour belongs to the subject increase.
-:func:`_background_weight` is 0.5 at the log-odds COLOUR_MARGIN, and :func:`_background_confirmation` at -COLOUR_MARGIN.
-"""
+"""Margin of the log-odds that a pixel's colour belongs to the subject. Two weights of the pixel are functions of these
+log-odds and become smaller as the log-odds become larger: :func:`_background_weight` is 0.5 at the log-odds
+COLOUR_MARGIN, and :func:`_background_confirmation` is 0.5 at the log-odds -COLOUR_MARGIN."""
 COLOUR_SLOPE = np.float32(2.0)
 MIN_BACKGROUND_WEIGHT = np.float32(0.02)
 CONFIRMED_FRAMES = 1.5
@@ -150,9 +150,9 @@ class Learner:
     def _confirmed_background(self, weights: Floats) -> Flags:
         """Return the mask (h, w) of the pixels near the subject whose background colour is known.
 
-        The background colour is known outside the moving region. Inside the moving region, the ``weights`` (T, h, w) of
-        the frames that match the background model are summed. The background colour is known where the sum exceeds
-        CONFIRMED_FRAMES.
+        The background colour is known outside the moving region. Inside the moving region, each pixel is tested
+        separately: its ``weights`` (T, h, w) are summed over the frames in which the pixel's colour matches the
+        background model. Its background colour is known if this sum exceeds CONFIRMED_FRAMES.
         """
         frames = self.appearance.background.matching_weight(self.sample.rgb, weights, self.extent.noise)
         return self._near_subject & (~self.appearance.region | (frames > CONFIRMED_FRAMES))

@@ -15,7 +15,8 @@ Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
 MIN_CHANGE = 12.0
-"""Minimum change of a pixel's 8-bit value that counts as motion, even in images with little noise."""
+"""Lower limit of :attr:`MotionExtent.threshold`, in 8-bit values. The threshold is the larger of two values:
+MIN_CHANGE, and NOISE_FACTOR times :attr:`MotionExtent.noise`."""
 NOISE_FACTOR = 6.0
 MIN_MOTION_PX = 0.15
 MOVING_FACTOR = 2.5

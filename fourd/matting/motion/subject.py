@@ -37,8 +37,8 @@ LOCAL_ITERATIONS = 2
 colours (:mod:`fourd.matting.motion.local_evidence`). In their M-step, a pixel with a low probability of the subject
 counts as background even if it lies inside the visual hull of the other views. The background between the subject's
 limbs thus becomes known, although the hull often covers it. The first additional iteration makes the subject's edges
-more accurate. The second additional iteration uses these edges, and also finds background that is visible only while
-the subject is directly beside this background."""
+more accurate. Some background pixels are covered by the subject in all frames except those in which the subject's edge
+is next to them. With the more accurate edges, the second additional iteration also finds these pixels."""
 MIN_REGION_PIXELS = 20
 """Minimum number of changing pixels. If every camera has fewer changing pixels, the capture has no moving subject."""
 COARSE_CELLS = (48, 64, 64)

@@ -17,8 +17,10 @@ angle and are not compared."""
 
 DEPTH_TOLERANCE_PX = 3.0
 """Tolerance of the visibility test. A point that lies behind the surface in a view's depth image still counts as
-visible if its depth exceeds the surface's depth by at most a length L. L is the length of a line on the surface that
-crosses this number of the view's pixels at the point."""
+visible if its depth exceeds the surface's depth by at most DEPTH_TOLERANCE_PX * z / (f * c). Here, z is the point's
+depth, f is the focal length in pixels, and c is the cosine between the point's normal and the direction to the camera.
+The width of a pixel at the point's depth is z / f. Division by c gives the length that the pixel covers on a slanted
+surface."""
 
 
 @dataclass(frozen=True, eq=False)

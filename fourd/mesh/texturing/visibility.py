@@ -44,10 +44,12 @@ class Occluder:
         return Occluder(Bvh.build(torch.from_numpy(np.ascontiguousarray(xyz)), indices), OFFSET_EDGES * mean)
 
     def hides(self, xyz: Floats, normals: Floats, camera: Camera) -> NDArray[np.bool_]:
-        """Return a mask (P,) that is true for points that the mesh hides from a camera. A point also counts as hidden
-        if the mesh hides the surface half a pixel beside it.
+        """Return a mask (P,) that is true for points that the mesh hides from a camera.
 
-        Rays start in a plane that is parallel to the point's tangent plane and lies ``offset`` outside the surface.
+        For each point, four rays to the camera are traced. In the image, they project to the corners of a square of
+        one pixel around the projected point (see CORNERS_PX). The point counts as hidden if the mesh blocks at least
+        one of these rays. The rays start in a plane that is parallel to the point's tangent plane and lies ``offset``
+        outside the surface.
 
         Args:
             xyz: (P, 3) points on the mesh, in front of the camera.

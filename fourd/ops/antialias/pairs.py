@@ -22,9 +22,11 @@ class Pairs:
         owner, other: (N,) indices of the two pixels in the flattened (batch, height, width) array.
         triangle: (N,) index of the triangle that the owner shows.
         other_triangle: (N,) index of the triangle that the other pixel shows, or -1 for the background.
-        centre: (N, 2) centre of the owner in normalised device coordinates, first along the pair, then across it.
+        centre: (N, 2) centre of the owner in normalised device coordinates. The first coordinate is the one along the
+            pair's axis, and the second is the one across it: (x, y) for axis 0, and (y, x) for axis 1.
         step: (N, 2) distances between neighbouring pixel centres in normalised device coordinates, first along the
-            pair, then across it. The first distance is negative if the other pixel is left of or above the owner.
+            pair's axis, then across it. The first distance is negative if the other pixel is left of or above the
+            owner.
         axis: 0 for right neighbours, 1 for lower neighbours.
     """
 

@@ -37,9 +37,9 @@ class _MovingEdges(torch.autograd.Function):
     A visibility edge passes between the centres of two neighbouring pixels: the owner, whose triangle is nearer, and
     the other pixel. The argument ``crossing`` (N,) contains the distance in pixels from the owner's centre to the edge,
     for each of N such pairs, and the backward pass computes the gradient of this distance. If the edge moves away from
-    the owner by dt pixels, the colour of one of the two pixels changes by ``dt * (c_owner - c_other)``, where c_owner
-    and c_other are their colours. The gradient is the mean over two cases: the owner changes, or the other pixel
-    changes.
+    the owner by dt pixels, the colour of the pixel that contains the edge changes by ``dt * (c_owner - c_other)``,
+    where c_owner and c_other are the colours of the two pixels. Either the owner or the other pixel can contain the
+    edge, so the gradient is the mean of the gradients for these two cases.
     """
 
     @staticmethod

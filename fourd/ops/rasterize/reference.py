@@ -20,10 +20,10 @@ class Planes:
     """Linear functions over the image, one row for each triangle.
 
     Attributes:
-        b: (T, 3, 3) linear function ``weight / w * m`` for each vertex. At a pixel, ``weight`` is the vertex's
-            perspective-correct barycentric coordinate and w is the clip coordinate; m is the largest |w| of the
-            triangle's vertices. The last axis contains the value at the reference pixel, and the slopes per pixel along
-            x and y.
+        b: (T, 3, 3) linear function ``weight / w * m`` for each vertex. Both ``weight`` and ``w`` depend on the pixel:
+            ``weight`` is the vertex's perspective-correct barycentric coordinate, and ``w`` is the clip coordinate w of
+            the triangle, interpolated at the pixel. ``m`` is the largest |w| of the triangle's vertices. The last axis
+            contains the value at the reference pixel, and the slopes per pixel along x and y.
         depth: (T, 3) linear function z/w, as its value at the reference pixel and its slopes per pixel along x and y.
         low, high: (T,) smallest and largest z/w of the vertices, to which the depth is clamped.
         reference: (T, 2) column and row of the reference pixel, which is the origin of the linear functions.

@@ -16,7 +16,8 @@ def rasterize(
     layers: int,
     out: tuple[Tensor, Tensor],
 ) -> None:
-    """Render features and alpha to ``out``. ``inputs`` are xyz, tri and features."""
+    """Render an image of features and an image of alpha to ``out``. ``inputs`` are xyz, tri and the triangles'
+    features."""
     gpu = load_gpu(inputs[0].device)
     with gpu.activate():
         plan = _plan(gpu, inputs, out[1])
@@ -31,7 +32,8 @@ def rasterize_backward(
     gradients: tuple[Tensor, Tensor],
     out: tuple[Tensor, Tensor],
 ) -> None:
-    """Write the gradients of xyz and features to ``out``. ``gradients`` are the gradients of features and alpha."""
+    """Write the gradients of xyz and of the triangles' features to ``out``. ``gradients`` are the gradients of the two
+    images that :func:`rasterize` renders: features and alpha."""
     gpu = load_gpu(inputs[0].device)
     with gpu.activate():
         plan = _plan(gpu, inputs, gradients[1])

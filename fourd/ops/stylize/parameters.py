@@ -74,7 +74,7 @@ def speck_reach(thickness: int) -> int:
 
 
 LEAST_STRENGTH = 32
-"""Minimum strength, from 0 to 255, of the lines that count on a square's sides in the search for specks."""
+"""Minimum strength, on a scale from 0 to 255. The search for specks ignores weaker lines on a square's sides."""
 
 
 Detail = Literal["facing", "depth", "focus"]
@@ -146,8 +146,9 @@ class Numbers:
             is below angle_threshold. The mixing weight rises from 0 to angle_strength over a range of angle_softness on
             each side of the threshold.
         depth_threshold: relative jump of the inverse depth above which a line is drawn. Positive.
-        normal_threshold: a line is drawn if the cosine between the normal at a tap and the normal at the pixel changes
-            by more than this value over the filter's taps. Positive.
+        normal_threshold: threshold for the cosines between the pixel's normal and the normals at the filter's taps.
+            Positive. The Sobel filter draws a line where the cosines on opposite sides of the pixel differ by more than
+            this value. The cross filter draws a line where the cosine at a tap is below 1 minus this value.
         line_opacity, line_colour: opacity and colour of the strongest line.
         hysteresis: where the previous image has a line, the thresholds are multiplied by ``1 - hysteresis``. At least 0
             and below 1.

@@ -74,9 +74,10 @@ def unpack_views(
         contents: for each view, N weight codes, then the colour levels of M points: those whose weight code is not 0,
             or all points if ``every_point_has_colours`` is True. A level is the quantised difference from the mean
             colour. The levels are stored as three planes: green, red - green and blue - green, modulo 256.
-        mean: (N, 3) mean colours. A colour is the mean colour plus ``colour_step`` times the level, read as a signed
-            8-bit number. If ``colour_step`` is 1, the sum is taken modulo 256. If ``colour_step`` is larger, the sum is
-            clamped to [0, 255]. Points without levels have the mean colour.
+        mean: (N, 3) mean colours. A level, once decoded from the planes, is a signed 8-bit number from -128 to 127. A
+            colour is the mean colour plus ``colour_step`` times the level. If ``colour_step`` is 1, the sum is taken
+            modulo 256. If ``colour_step`` is larger, the sum is clamped to [0, 255]. Points without levels have the
+            mean colour.
         weights: (256,) blend weight of each code.
         colour_step: quantization step of the signed levels, from 1 to 127.
         every_point_has_colours: True if all points have colours, so that M = N.

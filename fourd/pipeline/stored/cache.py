@@ -37,9 +37,15 @@ OWN = ".stored"
 
 @dataclass(frozen=True)
 class Started:
-    """The mark of a stage that was started on this machine: the stage's key, its field ``leftovers``, and the states,
-    before the start, of the files in the folders to which the stage writes, except the stage's own files. A file's
-    state is a text that changes with the file; see :meth:`Cache.states`."""
+    """The mark of a stage that was started on this machine.
+
+    Attributes:
+        key: the stage's key.
+        before: the files that existed when the stage was started, in the folders to which it writes. The stage's own
+            files are left out. Each file's path is mapped to the state that the file had at that time. The state is a
+            text that changes with the file; see :meth:`Cache.states`.
+        leftovers: the stage's field ``leftovers``.
+    """
 
     key: str
     before: Mapping[str, str]

@@ -1,4 +1,5 @@
-"""Keeps track of the stages whose results are in an object store, in the process that starts the stages."""
+"""Keeps track of the stages whose results are in an object store. Only the process that starts the stages uses this
+module, not the processes that run them."""
 
 from __future__ import annotations
 

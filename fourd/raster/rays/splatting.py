@@ -186,8 +186,9 @@ class _State:
         triangle = hits.triangle[ray, layer].long()
         colour = weights[ray, layer, None] * soup.features[triangle]
         self.colour = self.colour.index_add(0, active[ray], colour)
-        # The new transmittance is the old one minus the weights. It is not the old one times the last of the
-        # ``products``, because that product includes the alphas of hits behind the last composited triangle.
+        # The new transmittance is the old transmittance minus the sum of the weights. Multiplying the old transmittance
+        # by ``products[:, -1]`` would be wrong, because this product includes the alphas of hits behind the last
+        # composited triangle.
         remaining = transmittance - weights.sum(1)
         self.transmittance = self.transmittance.index_put((active,), remaining)
         self.taken[active] += ((alpha.detach() > 0) & ~is_behind).sum(1)

@@ -30,8 +30,8 @@ def interpolate(
     the pixel's triangle.
 
     Args:
-        attr: (B, V, C) float32 attributes of each mesh, or (1, V, C) or (V, C) attributes that all images share, with C
-            of at least 1.
+        attr: float32 attributes of the vertices, with C of at least 1: (B, V, C) with separate attributes for each of
+            the B images, or (1, V, C) or (V, C) with attributes that all images share.
         rast: (B, H, W, 4) result of ``rasterize``.
         tri: (T, 3) int32 vertex indices of the triangles.
         rast_db: (B, H, W, 4) derivatives from ``rasterize``, required if ``diff_attrs`` is given.

@@ -1,8 +1,8 @@
 """Find the pixels of a held-out view that show surfaces that are also visible in a training view.
 
-The colours of surfaces that no training view shows can only be guessed. The PSNR over all pixels that do not show such
-surfaces is the masked PSNR (mPSNR) of Gao et al., "Monocular Dynamic View Synthesis: A Reality Check" (2022). Gao et
-al. compute visibility from optical flow, whereas fourd computes it from the rendered depth of the static background.
+The colours of surfaces that no training view shows can only be guessed. The masked PSNR (mPSNR) of Gao et al.,
+"Monocular Dynamic View Synthesis: A Reality Check" (2022), therefore leaves out all pixels that show such surfaces. Gao
+et al. compute visibility from optical flow, whereas fourd computes it from the rendered depth of the static background.
 """
 
 from __future__ import annotations

@@ -36,8 +36,11 @@ SUFFIXES = (".pth", ".pt", ".safetensors")
 VGG_NAME = "vgg16-397923af.pth"
 FIX = "pass VGG-16 weights with --lpips-weights"
 
-# Pattern for the names of weights in files of torchvision, or in files of a whole network saved with the lpips package.
+# Names of the VGG-16 weights: features.0.weight in torchvision's files, and net.slice1.0.weight in a file of the whole
+# LPIPS network (VGG-16 and the heads) that was saved with the lpips package.
 _FEATURE_KEY = re.compile(r"(?:features|net\.slice[1-5])\.(\d+)\.(weight|bias)")
+# Names of the head weights. In a file of the whole network, a head can be named lins.0 as well as lin0. The number
+# after "model" is the position of the head's convolution: 1 if a dropout layer precedes it, otherwise 0.
 _HEAD_KEY = re.compile(r"(?:lin|lins\.)([0-4])\.model\.[01]\.weight")
 
 

@@ -33,8 +33,9 @@ def accumulate_gradient_magnitudes(points: FramePoints, rows: Tensor, gradient: 
     ``gradient`` (M, 3) is the gradient of the loss with respect to their positions.
 
     The magnitude is the norm of a point's gradient times the point's spacing. To first order, it is the largest change
-    of the loss when the point moves by one spacing. It does not depend on the unit of length, so near and far points
-    can be compared. In contrast, Kerbl et al. 2023, sec. 5.2, split points with large view-space gradients.
+    of the loss when the point moves by one spacing. Because the movement is one spacing and not a fixed length, the
+    magnitudes of points in dense regions and in sparse regions can be compared. In contrast, Kerbl et al. 2023, sec.
+    5.2, split points with large view-space gradients.
     """
     magnitude = gradient.norm(dim=1) * points.spacing[rows]
     points.gradient_sum[rows] += magnitude

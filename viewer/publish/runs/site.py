@@ -116,7 +116,8 @@ class RunSite:
         return found
 
     def scene(self) -> bytes:
-        """Return the state of the scene as JSON. New checkpoints are baked only for some seconds after each call."""
+        """Return the state of the scene as JSON. A new checkpoint is baked only if this method has been called within
+        the last ASKED_SECONDS seconds, that is, while a page shows the scene."""
         self._asked = time.monotonic()
         version, error = self._scene.version, self._scene.error
         steps = [int(name.partition(".")[0]) for name in version.split()]

@@ -58,8 +58,9 @@ def find_active(run: Path) -> ActiveRun:
 def picture_steps(run: Path, last: int) -> list[int]:
     """Return the steps of the newest validation images up to the step ``last``, in ascending order.
 
-    Images of later steps are left out. They exist if the training was killed some steps after its last checkpoint, and
-    was then resumed from this checkpoint: the steps of these images have not been repeated yet.
+    Images of later steps are left out. They exist if the training was killed some steps after its last checkpoint and
+    then resumed from this checkpoint. These images were written before the training was killed, and the resumed
+    training has not reached their steps yet.
     """
     names = [path.stem for path in (run / VALIDATION).glob("*.png")]
     steps = sorted(int(name) for name in names if name.isdecimal() and len(name) <= _DIGITS)

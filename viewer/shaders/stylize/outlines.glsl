@@ -9,7 +9,7 @@ uniform vec3 line_colour;
 
 out vec4 picture;
 
-// A line on the border of a square (reaches_square) counts only if its strength, from 0 to 255, is at least this value.
+// Minimum strength, from 0 to 255, of the lines that reaches_square() takes into account. It ignores weaker lines.
 const uint LEAST_STRENGTH = 32u;
 
 // Returns the strength, from 0 to 255, of the line at a pixel. There are no lines outside the image.
