@@ -24,10 +24,10 @@ POINTS = (16_384, 65_536, 262_144, 1_048_576, 2_097_152)
 SIZES = ((256, 256), (512, 512), (1024, 1024), (1920, 1080), (3840, 2160))
 LAYERS = (1, 2, 4, 8, 15, 30)
 KINDS = ("forward", "forward + backward", "play")
-CAPTION = """Times are in milliseconds. Each table varies the number of points, pixels or layers, and keeps the other
-two at these values: {base}. The last row of a table gives the exponent of the growth: the
-slope of log time over the log of the varied number. The slope is fitted to the rows with the largest numbers ("upper
-half"). An exponent of 1 means linear growth."""
+CAPTION = """Times are in milliseconds. Each table varies the number of points, pixels or depth layers, and keeps the
+other two at these values: {base}. The last row of a table gives the growth exponent, which is 1 for linear growth. The
+exponent is the slope of a line that is fitted to log time as a function of the logarithm of the varied number. The fit
+uses only the three largest values of this number ("upper half")."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """Encoding and decoding of one cloud of points, whose members (files inside the ZIP) are in the folder of a frame or of
 the background.
 
-The cloud has N points in Morton order. All arithmetic on colours is modulo 256. The cloud has these members:
+The cloud has N points in Morton order. Arithmetic on colours is modulo 256, except for the sum of a mean colour and a
+view's difference, which is clamped to 0 to 255 if the colour step is larger than 1. The cloud has these members:
 
 - ``points``: differences of successive Morton codes as byte planes (the lowest bytes of all values, then the next
   bytes, and so on), then radius codes (two byte planes), then density codes.
