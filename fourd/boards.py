@@ -107,7 +107,8 @@ class CalibrationBoard:
     def corners(self) -> Array:
         """Positions (N, 3) of the inner corners in metres.
 
-        ChArUco corners are in the order of OpenCV's corner ids, chessboard corners row by row from the lowest row.
+        ChArUco corners are ordered by OpenCV's corner ids. Chessboard corners are ordered row by row, from the lowest
+        row.
         """
         x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
         if self.dictionary is not None:

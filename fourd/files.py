@@ -100,7 +100,8 @@ def write_text_atomically(target: Path | str, content: str) -> None:
 
 
 def remove_unfinished(folder: Path | str, *, deep: bool = False) -> None:
-    """Remove the temporary files that killed processes left in ``folder`` and, if ``deep``, in its subfolders.
+    """Remove the temporary files that remain in ``folder`` and, if ``deep``, in its subfolders after a process was
+    killed.
 
     Do not call this function while another process writes to ``folder``, because it also removes temporary files that
     are in use.
@@ -113,7 +114,7 @@ def remove_unfinished(folder: Path | str, *, deep: bool = False) -> None:
 
 
 def remove_unfinished_file(target: Path | str) -> None:
-    """Remove the temporary files that killed processes left for the file ``target``.
+    """Remove the temporary files for ``target`` that remain after a process was killed.
 
     Temporary files of running processes are kept; they are recognised by their locks.
     """
@@ -135,7 +136,7 @@ def remove_unfinished_file(target: Path | str) -> None:
 
 
 def remove_unfinished_folder(target: Path) -> None:
-    """Remove the temporary folders of ``target`` that remain from earlier processes, which were killed.
+    """Remove the temporary folders for ``target`` that remain after a process was killed.
 
     If a process was killed while it replaced ``target``, the old content is restored. Call this function only while
     ``target`` is locked.

@@ -24,9 +24,9 @@ FOURD_HD static inline int vertices_of(Code code, int axis) {
 }
 
 // Returns the derivative of the loss with respect to the distance of the edge from the pixel `owner`, whose triangle is
-// nearer. If the edge moves by dt pixels away from the owner, the colour of one of the two pixels changes by dt *
-// (colour of the owner - colour of the other pixel). Because the image without antialiasing does not show which of the
-// two pixels this is, the result is the mean of the derivatives for both cases.
+// nearer to the camera. If the edge moves by dt pixels away from the owner, the colour of one of the two pixels changes
+// by dt * (colour of the owner - colour of the other pixel). Because the image without antialiasing does not show which
+// of the two pixels this is, the result is the mean of the derivatives for both cases.
 FOURD_HD static inline float change(const View& view, std::size_t owner, std::size_t other, const float* gradient) {
     const std::size_t one = owner * view.channels, two = other * view.channels;
     const float* colours = view.plan.images.colours;

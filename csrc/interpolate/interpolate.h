@@ -32,8 +32,8 @@ struct Query {
 };
 
 // Writes the attributes to `out` (images, height, width, channels), and their derivatives along x and y to `out_da`
-// (images, height, width, 2 * diff_count). At background pixels, and at pixels whose triangle does not exist, all
-// outputs are 0.
+// (images, height, width, 2 * diff_count). All outputs are 0 at background pixels, and at pixels whose triangle index is
+// out of range.
 void interpolate(const Query& query, float* out, float* out_da);
 
 // The gradients of the outputs, and the arrays that receive the gradients of the inputs.

@@ -82,8 +82,8 @@ def calibrate_from_pictures(
 
     Raises:
         ValueError: if a camera has no images, or cameras have different numbers of images.
-        UserError: if there are fewer than 3 cameras, cameras with a shared lens have images of different sizes, or
-            cameras could not be registered.
+        UserError: if there are fewer than 3 cameras, if cameras with a shared lens have images of different sizes, or
+            if cameras could not be registered.
     """
     names = list(pictures)
     if len(names) < MIN_CAMERAS:

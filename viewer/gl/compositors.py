@@ -109,7 +109,7 @@ class PixelFilter:
             return
         width, height = target.size
         lower = height - region.bottom
-        # Drivers copy pixels between textures of one format faster than a pass draws them.
+        # The picture is copied into a texture of the same format, because drivers copy faster than a shader pass draws.
         unfiltered = self._texture_like(target)
         left, right = max(region.left - 1, 0), min(region.right + 1, width)  # The filter reads the neighbours, too.
         bottom, top = max(lower - 1, 0), min(height - region.top + 1, height)

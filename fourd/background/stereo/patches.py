@@ -213,8 +213,8 @@ class _PlaneWarp:
 
     def _warp_centres(self, pixels: Floats, planes: Floats) -> Floats:
         """Compute the homogeneous pixel indices (3, n) of the cell centres in the other image."""
-        # The matrix product is written as an explicit sum, because BLAS would start threads in each worker process.
         inverse = np.einsum("nc,nc->n", planes, pixels)
+        # The product of matrix and pixels is written as a sum, because BLAS would start threads in each worker process.
         rotated = self.matrix[:, :1] * pixels[:, 0] + self.matrix[:, 1:2] * pixels[:, 1] + self.matrix[:, 2:]
         return np.asarray(rotated + self.shift[:, None] * inverse, np.float32)
 

@@ -160,8 +160,8 @@ class _Squares:
         return np.clip(begins, 0, size), np.clip(begins + self.side, 0, size)
 
     def squares_at(self, xy: Array) -> NDArray[np.intp]:
-        """Return the indices (M,) of the squares that contain pixel indices (M, 2), or of the nearest squares for
-        pixels outside the image."""
+        """Return the indices (M,) of the squares in which the pixels ``xy`` (M, 2) lie. For a pixel outside the image,
+        return the index of the nearest square."""
         row = np.clip((xy[:, 1] + 0.5) / self.side, 0, self.rows - 1).astype(np.intp)
         column = np.clip((xy[:, 0] + 0.5 + self._shift(row)) / self.side, 0, self.columns - 1).astype(np.intp)
         return np.asarray(row * self.columns + column, np.intp)

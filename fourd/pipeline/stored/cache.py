@@ -37,7 +37,7 @@ OWN = ".stored"
 
 @dataclass(frozen=True)
 class Started:
-    """The mark of a stage that was started on this machine.
+    """The record that a stage was started on this machine. Other texts call it the mark of the stage.
 
     Attributes:
         key: the stage's key.
