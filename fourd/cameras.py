@@ -100,8 +100,8 @@ class Camera:
         return pixels, depth
 
     def unproject(self, pixels: NDArray[np.floating], depth: NDArray[np.floating]) -> Array:
-        """Return the world points (N, 3) of pixels (N, 2), given as (x, y) without lens distortion, at the camera
-        depths ``depth`` (N,) in world units. This is the inverse of :meth:`project`."""
+        """Return the world points (N, 3) that project to the pixels (N, 2) and have the camera depths ``depth`` (N,) in
+        world units. Pixels are (x, y) without lens distortion. This is the inverse of :meth:`project`."""
         rays = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(self.intrinsics).T
         return np.asarray((rays * depth[:, None] - self.translation) @ self.rotation, np.float64)
 

@@ -43,7 +43,7 @@ WORKLOADS = {
 
 @dataclass(frozen=True)
 class Arguments:
-    """Compare the instruction counts, or accept the current counts."""
+    """Compare the current instruction counts with the accepted counts, or accept the current counts."""
 
     update: bool = False
     """Store the current counts as the accepted counts, instead of comparing."""

@@ -155,7 +155,7 @@ def measure_view(trained: TrainedRun, frame: int, view: int) -> ViewQuality:
 
 
 def measure_flicker(trained: TrainedRun, view: int, frames: int = 8) -> float:
-    """Return the flicker of a held-out view over at most ``frames`` successive frames from the middle of the run.
+    """Return the flicker of a held-out view over at most ``frames`` successive frames around the run's middle frame.
 
     The change of a pixel is its difference between two successive images. The flicker is the mean absolute difference
     between the changes in the rendered images and the changes of the same pixels in the true images, divided by the

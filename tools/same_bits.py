@@ -50,7 +50,7 @@ def main() -> int:
 
 
 def compare(before: dict[str, str], after: dict[str, str]) -> int:
-    """Print every file whose digest differs or that is missing on one side.
+    """Print every file whose digests in ``before`` and ``after`` differ, and every file that one of them lacks.
 
     Returns 1 if there is such a file, and 0 otherwise.
     """

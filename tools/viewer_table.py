@@ -117,7 +117,8 @@ def _print_precisions(
 
 
 def _measured(context: moderngl.Context, renderer: Renderer, request: RenderRequest, seconds: float) -> Measured:
-    """Time images from slightly different cameras. Return the median time and the image from the request's camera."""
+    """Measure the time to draw images from slightly different cameras. Return the median time, and the image from the
+    request's camera."""
     canvas = Canvas(context)
     times: list[float] = []
     end = time.perf_counter() + seconds

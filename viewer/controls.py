@@ -64,7 +64,8 @@ def handle_navigation(session: Session, window_height: float, seconds: float) ->
 
 
 def handle_shortcuts(state: ViewerState) -> None:
-    """Handle the keys for the panel, the renderer, the output and the cameras."""
+    """Handle the keys that show or hide the panel, take a screenshot, switch the renderer or the style, record or
+    render a camera path, and move to a capture camera or the initial view."""
     if imgui.get_io().want_text_input:
         return
     if imgui.is_key_pressed(imgui.Key.tab, False):

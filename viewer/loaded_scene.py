@@ -17,15 +17,17 @@ _CHECKPOINT_POLL_SECONDS = 1.0
 
 
 class LoadedScene:
-    """An open `.4dv` file or run.
+    """An open scene: a `.4dv` file, Gaussian splats, or a training run.
+
+    The frames of a training run are baked from its newest checkpoint.
 
     Attributes:
-        path: path of the `.4dv` file or of the run's folder.
+        path: path of the scene's file or folder.
         manifest: the manifest of the scene.
         frames: supplies the frames and prefetches them.
         up: up direction of the world, (3,).
         has_normals: whether the scene stores normals. Styles need normals, and estimate missing ones.
-        checkpoint: file name of the displayed checkpoint of a run; empty for a `.4dv` file.
+        checkpoint: file name of the displayed checkpoint of a run; empty for other scenes.
     """
 
     def __init__(self, path: Path, source: BakedFrameSource) -> None:

@@ -69,7 +69,7 @@ class Session:
 
     @property
     def style_names(self) -> tuple[str | None, ...]:
-        """The styles that the user can choose: None, the presets, and the last style file."""
+        """The styles that the user can choose: None, the presets, and the style file that was chosen last, if any."""
         return (None, *PRESETS, *(() if self.style_file is None else (self.style_file,)))
 
     @property

@@ -15,7 +15,8 @@ def read_shader(name: str) -> str:
 
 
 def read_shader_body(name: str) -> str:
-    """Return the text of a shader file without the line ``#version``, for other dialects of GLSL."""
+    """Return the text of a shader file without the line ``#version``. The web player adds the line of its own GLSL
+    version."""
     text = read_shader(name)
     version, _, body = text.partition("\n")
     return body if version.startswith("#version") else text

@@ -16,8 +16,8 @@ from fourd.viewer.rendering.renderers import Renderer, RendererChoice, RendererN
 from fourd.viewer.window import Window
 
 _FAINT = 0.01
-"""While an image is paused, lines fade in: the image is drawn again until each line's strength differs from its final
-strength by at most this fraction of the initial difference.
+"""A line counts as faded in when its strength differs from its final strength by at most this fraction of the initial
+difference. While playback is paused, the image is drawn again until all lines have faded in.
 """
 
 

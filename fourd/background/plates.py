@@ -100,8 +100,8 @@ def read_plates(
 
 @dataclass(frozen=True)
 class _File:
-    """Path of a plate, and whether fourd made it. Plates that fourd made have no lens distortion; the user's plates
-    have that of the frames."""
+    """Path of a plate. ``made`` is true if fourd made the plate, and false if the user provided it. Plates that fourd
+    made have no lens distortion. The user's plates have the same lens distortion as the frames."""
 
     path: Path
     made: bool

@@ -33,7 +33,8 @@ COLOUR_WEIGHT = 16.0
 """Weight of horizontal neighbours in the extrapolation of colours, relative to the weight 1 of vertical neighbours. It
 is large because floors, walls and skies vary less horizontally than vertically."""
 SMALL_GAP_DEG = 1.5
-"""Gaps of up to this many degrees are closed, because they are common between neighbouring points of a surface."""
+"""Radius, in degrees, of the morphological closing of the known cells. The closing fills narrow gaps between known
+cells, because such gaps are common between neighbouring points of a surface."""
 RIM_FACTOR = 0.985
 """Factor that multiplies the inverse distances of the shell's rim, to place the rim slightly behind the known points.
 The rim consists of shell points in those known cells that are next to unknown cells."""
@@ -54,7 +55,7 @@ DEPTH_CELL_PX = 6.0
 def build_shell(
     points: ColouredPoints, cameras: Sequence[Camera], centre: Array, track: Track = untracked
 ) -> ColouredPoints:
-    """Build the points of the shell, in directions without background points.
+    """Build the shell: additional points that fill the directions without background points.
 
     Inverse distances and colours are interpolated harmonically between the known directions, with larger weights for
     horizontal than for vertical neighbours. The up direction is the cameras' mean up direction. Colours that depend

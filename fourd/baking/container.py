@@ -112,7 +112,7 @@ class SceneWriter:
         self._points.append(frame.point_count)
 
     def add_background(self, frame: BakedFrame) -> None:
-        """Add the static points of a full scene.
+        """Add the static background points. The scene must be a full scene, which is a scene with a background.
 
         Call this method exactly once. The background may be added before, between or after the frames.
         """

@@ -84,7 +84,8 @@ class PlayableScene:
 
 @dataclass(frozen=True)
 class PlayableRun:
-    """A trained run, with or without segments. Rendering evaluates the networks of the run."""
+    """A trained run, with or without segments (ranges of frames with separate models). Rendering evaluates the
+    networks of the run."""
 
     trained: TrainedRun | SegmentedRun
 

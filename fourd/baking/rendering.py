@@ -131,7 +131,8 @@ def render_frame(
     background: NDArray[np.float32] | None = None,
     threads: int = 0,
 ) -> RenderedImage:
-    """Render a frame of a scene with this manifest. The arguments are those of :meth:`Scene.render`."""
+    """Render a frame of the scene that ``manifest`` describes. The other arguments are those of
+    :meth:`Scene.render`."""
     rgb, alpha, depth = render_points_numpy(
         frame.xyz,
         shade(frame, camera, manifest, threads=threads),

@@ -25,7 +25,7 @@ SIZES = ((1920, 1080), (3840, 2160))
 
 
 def gpu_cases() -> Iterator[Case]:
-    """Yield all cases, or none if there is no CUDA device or no kernel for it."""
+    """Yield the GPU cases, or none if fourd's CUDA kernels cannot run on this machine."""
     if not has_gpu():
         return
     device = torch.device("cuda", torch.cuda.current_device())

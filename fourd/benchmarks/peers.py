@@ -60,8 +60,8 @@ def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, ba
 
 
 def pytorch3d_rasterizer(pos: Tensor, tri: Tensor, side: int) -> Work | None:
-    """Return a function that rasterizes clip coordinates (V, 4) with PyTorch3D, with one triangle per pixel and without
-    gradients.
+    """Return a function that rasterizes the triangles ``tri`` with PyTorch3D, with one triangle per pixel and without
+    gradients. ``pos`` (V, 4) are the clip coordinates of the vertices.
 
     Returns None if PyTorch3D is not installed.
     """

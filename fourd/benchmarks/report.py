@@ -49,8 +49,8 @@ def markdown(rows: Iterable[Row], machine: Machine) -> str:
 
 
 def to_json(rows: Iterable[Row], machine: Machine) -> str:
-    """Format the rows as JSON: for every case and rival, the time in milliseconds, the time as a multiple of the unit
-    (see :class:`Timing`), and the number of runs."""
+    """Format the rows as JSON: for every case and rival, the time in milliseconds, the time as a multiple of the time
+    of a fixed computation (see :class:`Timing`), and the number of runs."""
     content = {"format": "fourd-bench", "version": FORMAT_VERSION, "machine": asdict(machine)}
     return json.dumps({**content, "rows": [asdict(row) for row in rows]}, indent=1) + "\n"
 

@@ -34,7 +34,8 @@ class Timing:
 
 
 class Clock:
-    """Times functions in several rounds, each of which also times the unit."""
+    """Times functions. Before every timed run of a function, the clock also times a fixed computation, the unit (see
+    :class:`Timing`)."""
 
     def __init__(self, seconds: float, min_runs: int = 3, max_runs: int = 50) -> None:
         """Choose how long each function is timed.

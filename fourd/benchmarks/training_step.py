@@ -45,8 +45,9 @@ def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
 
 
 def _step(run: Run, config: TrainConfig, learning: bool) -> Work:
-    """Return a repeatable training step, which trains the image CNN if ``learning`` is true. The learning rates are so
-    small that repeated steps do not change the scene."""
+    """Return a function that runs one training step. If ``learning`` is true, the step also trains the image CNN;
+    otherwise, the CNN is frozen. The function can be called repeatedly, because the learning rates are so small that
+    its steps do not change the scene."""
     trainer = Trainer(run, None, Terminal(quiet=True), config)
     sample = trainer.sampler.sample(1)
     points = trainer.frames.get(sample.frame)

@@ -50,8 +50,8 @@ def make_camera(width: int, height: int, angle: float = 0.0) -> Camera:
 
 
 def make_baked_frame(count: int, views: int = 17, *, ordered: bool = False) -> tuple[BakedFrame, SceneManifest]:
-    """Make a baked frame of the points from :func:`make_points`, and its manifest, with ``views`` source cameras in a
-    ring.
+    """Make a baked frame of the points from :func:`make_points`, and the manifest of its scene. The scene has ``views``
+    source cameras in a ring.
 
     Args:
         ordered: whether to sort the points in Morton order, as in trained runs. If false, their order is random.
@@ -84,8 +84,8 @@ def make_baked_frame(count: int, views: int = 17, *, ordered: bool = False) -> t
 
 
 def make_planes(side: int = 64, levels: int = 4, features: int = 8, frames: int = 24) -> tuple[list[Tensor], list[int]]:
-    """Make six K-Planes per level. Returns the planes (rows, columns, features), and a flat list with the two axes of
-    each plane.
+    """Make six K-Planes per level. Returns the planes, each with the shape (rows, columns, features), and a flat list
+    with the two axes of each plane.
 
     A spatial axis has ``side`` samples at the first level, and twice as many at each level as at the previous one. The
     time axis has ``frames`` samples at every level.

@@ -18,8 +18,8 @@ Grey = NDArray[np.uint8]
 MIN_CORNERS = 6
 """Minimum number of corners of a view. A pose from fewer corners is inaccurate."""
 MIN_SPREAD = 0.5
-"""Minimum standard deviation, in squares, of a view's corners perpendicular to the line that fits them best. Corners on
-one line do not determine a pose."""
+"""Minimum root mean square distance, in squares, of a view's corners from the line that fits them best. Corners on one
+line do not determine a pose."""
 MARKER_CLEARANCE = 0.95
 """Half the side length of the patch in which a corner is located to sub-pixel accuracy, as a fraction of the distance
 from the corner to the nearest marker."""

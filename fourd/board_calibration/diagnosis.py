@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
 MIN_MARKERS = 4
-"""Minimum number of markers in one image. Fewer markers may be false detections."""
+"""Images with fewer markers than this number are ignored, because so few markers may be false detections."""
 MAX_TRIED_SQUARES = 14
-"""Largest number of columns and of rows that are tried."""
+"""Board sizes other than the size in the board's file are tried up to this number of columns and of rows."""
 INLIER_SQUARES = 0.25
 """Maximum distance of a marker from its expected position on a board, in squares."""
 MAX_PX = 800

@@ -47,7 +47,7 @@ from fourd.progress import Track
 Array = NDArray[np.float64]
 
 HELD_OUT_EVERY = 5
-"""One of every HELD_OUT_EVERY frames is held out."""
+"""At most one of every HELD_OUT_EVERY frames is held out of the first fit, to measure the errors of this fit."""
 MIN_LENS_VIEWS = 5
 """Minimum number of views (images that show the board) from a camera whose lens is estimated."""
 MIN_POSE_VIEWS = 3

@@ -82,7 +82,8 @@ def match_lenses(
 
 
 def _camera_tables(data: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the tables with a ``matrix``, at the top level or one level below."""
+    """Yield the key and the table of each camera in a TOML file. A camera's table contains a ``matrix``, and is at the
+    top level or one level below."""
     for key, table in data.items():
         if not isinstance(table, dict) or key == "metadata":
             continue

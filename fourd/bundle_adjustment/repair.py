@@ -29,7 +29,8 @@ Feature = tuple[int, int]
 """Index of a camera, and index of a feature in the camera's image."""
 
 HELD_OUT = 3
-"""One of every HELD_OUT tracks is held out."""
+"""One of every HELD_OUT feature tracks is held out: the cameras are not fitted to its matches, so that the residuals of
+these matches show whether a correction is right."""
 MIN_MATCHES = 60
 """Minimum number of matches that a repair needs."""
 MIN_GAIN = 0.9
@@ -56,7 +57,7 @@ class Trial:
 
     Attributes:
         name: description of the corrected quantities.
-        score: score of the held-out matches.
+        score: score of the held-out matches with the corrected cameras.
         is_kept: whether the correction is part of the result.
     """
 
@@ -195,7 +196,7 @@ def _adjust(
 
 
 def _undistorted_frame(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> FrameMatches:
-    """Convert the matches to features, which are undistorted with the distortion of ``cameras``."""
+    """Convert matches to a FrameMatches, and remove the lens distortion of ``cameras`` from the features' positions."""
     frame, rows = _index_features(matches, len(cameras))
     features = tuple(
         Features(undistort_points(camera, each.xy), each.descriptors)

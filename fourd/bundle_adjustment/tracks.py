@@ -40,13 +40,13 @@ class Observations:
         return int(self.point.max()) + 1 if len(self.point) else 0
 
     def of_points(self, kept: NDArray[np.bool_]) -> Observations:
-        """Select the features of the points in ``kept`` (P,) bool, and renumber the points."""
+        """Select the features of the points for which the mask ``kept`` (P,) is true, and renumber these points."""
         rows = kept[self.point]
         return Observations(self.camera[rows], (np.cumsum(kept) - 1)[self.point[rows]], self.pixel[rows])
 
     def select(self, rows: NDArray[np.bool_]) -> Observations:
-        """Select the features in ``rows`` (M,) bool. Then drop points with fewer than two features, and renumber the
-        others."""
+        """Select the features for which the mask ``rows`` (M,) is true. Then drop points with fewer than two features,
+        and renumber the other points."""
         camera, point, pixel = self.camera[rows], self.point[rows], self.pixel[rows]
         enough = np.bincount(point, minlength=self.points) >= 2
         return Observations(camera, point, pixel).of_points(enough)

@@ -99,7 +99,8 @@ def resolve_ambiguities(
 
 @dataclass(frozen=True)
 class _SizeResolver:
-    """Finds how the images were resized after the calibration."""
+    """Finds how the images were resized after the calibration. Each way of resizing is one size hypothesis (see
+    :func:`fourd.calibration.image_sizes.size_hypotheses`)."""
 
     names: Sequence[str]
     cameras: Sequence[Camera]
@@ -109,7 +110,8 @@ class _SizeResolver:
     track: Track | None
 
     def resolve(self, resize: str) -> tuple[str, list[str], dict[Pair, Matches] | None]:
-        """Choose a size hypothesis; return its name, notes, and the feature matches (None if not computed)."""
+        """Choose the hypothesis of how the images were resized. Returns its name, notes for the user, and the feature
+        matches (None if they were not computed)."""
         resized = [i for i, camera in enumerate(self.cameras) if self.sizes[i] != (camera.width, camera.height)]
         if not resized:
             if resize == "auto":
@@ -125,12 +127,12 @@ class _SizeResolver:
         return name, [note], matches
 
     def _check_option(self, asked: str | None, resized: Sequence[int]) -> None:
-        """Check that the requested size hypothesis ``asked`` explains the sizes of all resized images.
+        """Check that the hypothesis ``asked`` of how images were resized explains the sizes of all resized images.
 
-        If ``asked`` is None, check that at least one size hypothesis explains the sizes of all resized images.
+        If ``asked`` is None, check that at least one hypothesis explains the sizes of all resized images.
 
         Raises:
-            UserError: if no suitable size hypothesis explains the sizes of all resized images.
+            UserError: if no suitable hypothesis explains the sizes of all resized images.
         """
         options = [size_hypotheses(self.cameras[i], *self.sizes[i]) for i in resized]
         common = [name for name in options[0] if all(name in option for option in options)]
@@ -144,7 +146,8 @@ class _SizeResolver:
             raise UserError(f"--resize: expected one of {', '.join(common)} for {cameras}, got '{asked}'")
 
     def _choose(self, resized: Sequence[int]) -> tuple[str, str, dict[Pair, Matches]]:
-        """Choose the best size hypothesis; return its name, the evidence in one line, and the feature matches."""
+        """Choose, from the images, the best hypothesis of how they were resized. Returns its name, the evidence in one
+        line, and the feature matches."""
         borders = {i: measure_black_borders([pictures[i] for pictures in self.pictures_by_frame]) for i in resized}
         guess = choose_size({}, self.cameras, self.sizes, borders)
         matches = match_cameras(self.pictures_by_frame, guess.cameras, self.track)
@@ -183,7 +186,8 @@ def _evidence(choice: SizeChoice, widths: Sequence[float]) -> str:
 
 
 def _choose_mirrors(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> MirrorChoice | None:
-    """Choose the principal points with the smallest residuals; return None if there are too few feature matches."""
+    """Choose, for each camera, the given or a mirrored principal point, such that the residuals are smallest. Returns
+    None if there are too few feature matches."""
     if not compute_residuals(matches, cameras).pairs:
         return None
     return choose_principal_points(matches, cameras)

@@ -41,7 +41,7 @@ MAX_RASTER_PX = 2000
 def match_cameras(
     pictures_by_frame: Sequence[Sequence[Picture]], cameras: Sequence[Camera], track: Track | None = None
 ) -> dict[Pair, Matches]:
-    """Match pairs of cameras over all given frames.
+    """Find corresponding points between the images of camera pairs, in all given frames.
 
     Features are matched first. Camera pairs with fewer than 20 feature matches are treated as unmatched. If wide
     baselines leave a camera with fewer than two matched pairs, all its pairs are also matched on the ground, provided

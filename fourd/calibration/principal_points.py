@@ -35,7 +35,8 @@ points, as a multiple of the typical residual (see MIN_GAIN)."""
 
 @dataclass(frozen=True, eq=False)
 class MirrorChoice:
-    """The combination of the cameras' principal points, each as given or mirrored, with the smallest residual.
+    """The choice of the given or a mirrored principal point for each camera. Of all combinations, this one has the
+    smallest residual.
 
     Attributes:
         names: choice for each camera, either "as given", "mirrored x", "mirrored y" or "mirrored both".

@@ -81,7 +81,7 @@ def match_pairs(
     max_features: int = 4000,
     pairs: Sequence[Pair] | None = None,
 ) -> dict[Pair, Matches]:
-    """Match camera pairs and verify the matches.
+    """Match features between the images of camera pairs, and keep the matches that fit a common two-view geometry.
 
     Args:
         pictures: one RGB image (H, W, 3) per camera, of the camera's size.

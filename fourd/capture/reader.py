@@ -135,7 +135,7 @@ class Capture:
         return other
 
     def with_time_span(self, span: range) -> Capture:
-        """Return a copy of the capture with the time span ``span``, which must contain all selected frames."""
+        """Return a copy whose time runs from 0 to 1 over the frames ``span``. They must include all selected frames."""
         other = copy(self)
         other.time_span = span
         return other

@@ -135,7 +135,8 @@ def write_entries(path: Path, entries: Mapping[str, Entry], fps: Fraction | None
 
 
 def align_offsets(offsets: Mapping[str, float]) -> dict[str, float]:
-    """Shift all offsets by the same number, so that the smallest is 0, and round them to 4 decimals."""
+    """Shift the time offsets of videos, in frames, by the same number, so that the smallest is 0. Round them to 4
+    decimals."""
     least = min(offsets.values(), default=0)
     return {name: round(offset - least, OFFSET_DECIMALS) for name, offset in offsets.items()}
 
@@ -143,7 +144,8 @@ def align_offsets(offsets: Mapping[str, float]) -> dict[str, float]:
 def align_videos(
     files: Mapping[str, Path], indices: Mapping[str, VideoIndex], offsets: Mapping[str, float]
 ) -> dict[str, Video]:
-    """Put videos on a common clock, which has the lowest frame rate of all videos.
+    """Put videos on a common clock: each frame number of the capture denotes the same time in all videos, and the frame
+    rate is the lowest of all videos.
 
     Args:
         files: path of each video by camera name.

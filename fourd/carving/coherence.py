@@ -34,8 +34,8 @@ class FrameCoherence:
     ``area`` are NaN.
 
     Attributes:
-        explained: (C,) fraction of each view's matte that the silhouette of the other views' hull covers.
-        kept: (C,) fraction of each view's matte that the silhouette of the hull of all views covers.
+        explained: (C,) fraction of each view's matte that is inside the silhouette of the hull of the other views.
+        kept: (C,) fraction of each view's matte that is inside the silhouette of the hull of all views.
         overlap: (C,) intersection over union of each view's matte and the silhouette of the hull of all views.
         area: (C,) fraction of the image that each matte covers; 0 for an empty matte.
     """

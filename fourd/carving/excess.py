@@ -37,23 +37,24 @@ SMOOTHING_CELLS = 3.0
 """Standard deviation, in cells, of the Gaussian that measures how full the neighbourhood of a cell is."""
 
 MIN_FULLNESS = 0.48
-"""A cell is removed if the filled fraction of its neighbourhood is below this value. On a flat surface, the
-neighbourhood of a cell is half full."""
+"""A cell is removed if the filled fraction of its neighbourhood is below this value, unless it is kept for a ray
+(see CRUMB_FULLNESS). On a flat surface, the neighbourhood of a cell is half full."""
 
 MAX_ROUNDS = 12
 
 RAY_CELLS = 0.7
-"""Distance between neighbouring rays through a silhouette, in cells. With a larger distance, the cells that the rays
-keep would no longer cover the silhouette up to its contour."""
+"""Distance between neighbouring rays through a silhouette, in cells. On each ray, the cell with the fullest
+neighbourhood is kept (see CRUMB_FULLNESS). With a larger distance, the kept cells would no longer cover the silhouette
+up to its contour."""
 
 CRUMB_FULLNESS = 0.5
-"""Minimum fullness of a cell that a ray keeps, as a fraction of the largest fullness on the adjacent rays. The fullness
-of a cell is the filled fraction of its neighbourhood. Each ray keeps the fullest of its cells, but only if the
-fullness of this cell is at least the minimum.
+"""The fullness of a cell is the filled fraction of its neighbourhood. Cells with a fullness below MIN_FULLNESS are
+removed, except the cell with the largest fullness on each ray. This cell is kept if its fullness is at least the
+fraction CRUMB_FULLNESS of the largest fullness on the adjacent rays.
 
 A cell belongs only to the ray that passes nearest to the cell's centre. The rays are less than a cell apart, so some
 rays pass between the centres of the object's cells. If such a ray has cells, they belong to excess parts in front of
-the object or behind it. The minimum excludes them, because their fullness is low."""
+the object or behind it. Such cells are not kept, because their fullness is too low."""
 
 NEAR_CELLS = 1.3
 """A point belongs to a cell if its distance from the cell's centre is at most this multiple of the cell's side."""
@@ -101,7 +102,8 @@ class FilledHull:
 def replace_excess(
     views: Silhouettes, lower: Array, upper: Array, xyz: Floats, normals: Floats, size: float
 ) -> tuple[Floats, Floats]:
-    """Remove the surface points of the hull's excess parts, and add points on the surface of the remaining hull.
+    """Remove the points on the hull's excess parts, which are protrusions that are not needed to cover the
+    silhouettes, and add points on the surface of the remaining hull.
 
     Args:
         views: the silhouettes.
@@ -158,7 +160,8 @@ def _grid_cells(cells: Floats, side: float) -> float:
 
 
 def remove_excess(views: Silhouettes, hull: FilledHull) -> NDArray[np.int64]:
-    """Return the flat indices (M,) of the cells that remain after removal of the excess parts."""
+    """Remove the hull's excess parts, which are protrusions that are not needed to cover the silhouettes. Returns the
+    flat indices (M,) of the remaining cells."""
     centres = np.ascontiguousarray(hull.centres(hull.cells).T)
     rays = [_rays_of_cells(view, centres, hull.side) for view in views.views]
     alive = np.arange(len(hull.cells))
@@ -203,7 +206,8 @@ def _surface_inside_hull(
     views: Silhouettes, hull: FilledHull, remaining: NDArray[np.int64], size: float
 ) -> tuple[Floats, Floats]:
     """Return points (M, 3) and outward normals (M, 3) on the surface of the remaining cells. Points near the hull's
-    surface are left out, because it already has points. ``size`` is the distance between neighbouring points."""
+    surface are left out, because that surface already has points. ``size`` is the distance between neighbouring
+    points."""
     volume = hull.smoothed(remaining, SURFACE_SMOOTHING_CELLS)
     if float(volume.max(initial=0)) <= 0.5:
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)

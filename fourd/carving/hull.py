@@ -25,9 +25,9 @@ CHUNK = 1 << 15
 L2 cache."""
 
 SLACK_PIXELS = np.float32(0.75)
-"""Tolerance in pixels that is added to the radius of a cell's projection. A cell is classified by comparing the
-enlarged radius with the signed distance at the cell's centre. The tolerance accounts for the matte's soft edge (0.5
-pixels) and for rounding in bilinear sampling."""
+"""Tolerance in pixels that is added to the radius of a cell's projection. A cell is classified by comparing this sum
+with the signed distance from the projection of the cell's centre to the contour of the silhouette. The tolerance
+accounts for the matte's soft edge (0.5 pixels) and for rounding in bilinear sampling."""
 
 SLACK_FACTOR = np.float32(1.03)
 """Factor that multiplies the radius of a cell's projection in pixels, to account for the error of the 5x5 distance
@@ -85,13 +85,14 @@ class Silhouettes:
         return Silhouettes(origin, views, agreement, needed)
 
     def without(self, index: int) -> Silhouettes:
-        """Remove one view, and limit ``needed`` to the number of remaining views."""
+        """Return a copy without the view ``index``. Its ``needed`` is at most the number of remaining views."""
         remaining = self.views[:index] + self.views[index + 1 :]
         return replace(self, views=remaining, needed=min(self.needed, len(remaining)))
 
     def tolerated_outliers(self, seen: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Return, for each point, the maximum number of views that can exclude it without removing it from the hull.
-        ``seen`` is the number of views that see each point."""
+        """Return, for each point, the number of views that may be wrong about it: a point of the hull may be outside
+        the silhouettes of at most this number of the views that see it. ``seen`` contains the number of views that see
+        each point."""
         return np.floor((1 - self.agreement) * np.asarray(seen) + 1e-9).astype(np.int64)
 
     def may_contain_object(self, cells: Floats, size: float) -> NDArray[np.bool_]:
@@ -162,8 +163,8 @@ class Silhouettes:
         return np.concatenate(kept, axis=1), np.concatenate(distance), np.concatenate(deciding)
 
     def _rank_views(self, xyz: Floats, outside: float) -> tuple[NDArray[np.int64], Floats, NDArray[np.int16]]:
-        """Compute distances and deciding views of points (3, N). Points that lie outside the hull by more than
-        ``outside`` are dropped.
+        """Compute the signed distance to the hull and the deciding view (see :meth:`distance`) for each of the points
+        ``xyz`` (3, N). Points that lie outside the hull by more than ``outside`` are dropped.
 
         Returns:
             indices of the remaining points, their signed distances to the hull, and their deciding views.
@@ -247,8 +248,8 @@ def interleaved_order(count: int) -> list[int]:
 
 
 def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts: NDArray[np.int16]) -> None:
-    """Classify spheres of ``radius`` around the centres ``cells`` (3, N) in one view, and add the result to ``counts``
-    (5, N).
+    """Classify the circumscribed sphere of each cell in one view, and update the counters ``counts`` (5, N) in place.
+    The spheres have the centres ``cells`` (3, N) and the radius ``radius``.
 
     For each sphere, each row of ``counts`` contains the number of views that satisfy one condition:
     - row 0: the whole sphere is in the image and projects only to background;
@@ -278,9 +279,9 @@ def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts:
 
 
 def _insert(lowest: Floats, owners: NDArray[np.int16], value: Floats, index: np.int16) -> None:
-    """Insert the values ``value`` (N,) of view ``index`` into ``lowest`` (K, N), in place. Each column of ``lowest``
-    contains the K lowest values so far, in ascending order. ``owners`` (K, N), which is updated in place, too, contains
-    the view of each of these values."""
+    """Insert ``value`` (N,), the values of the view ``index``, into ``lowest`` (K, N), in place. Each column of
+    ``lowest`` contains the K lowest values so far, in ascending order. ``owners`` (K, N) is also updated in place. It
+    contains the index of the view from which each of these values comes."""
     owner = np.full(value.shape, index, dtype=np.int16)
     for rank in range(lowest.shape[0]):
         less = value < lowest[rank]

@@ -27,7 +27,7 @@ MAX_LINES = 8
 
 @dataclass(frozen=True, eq=False)
 class MatteQuality:
-    """Agreement of a capture's mattes with the visual hulls of its frames.
+    """How well a capture's mattes match the visual hulls, measured in some of its frames.
 
     Attributes:
         names: camera names.

@@ -138,7 +138,7 @@ def read_bounds(folder: Path | str) -> Bounds:
 
 def settings_key(capture: MaskSource, settings: DataclassInstance) -> str:
     """Hash the inputs of carving: settings, cameras, frame numbers, and the name, size and modification time of each
-    file."""
+    file that matches one of the patterns INPUTS."""
     digest = hashlib.sha256(json.dumps([VERSION, asdict(settings), capture.frame_numbers]).encode())
     for name, camera in zip(capture.names, capture.cameras, strict=True):
         digest.update(f"{name} {camera.width} {camera.height}".encode())

@@ -17,8 +17,8 @@ CANDIDATES = 1.3
 computation slower."""
 MIN_DEPTH = 0.7
 """A move into the hull is acceptable if the moved point's distance from the surface is at least this fraction of the
-length of the move. The fraction is below 1, because near a crease, a moved point is nearer to the surface than the
-length of the move."""
+length of the move. The fraction is below 1, because near a crease, the moved point's distance from the surface is
+smaller than the length of the move."""
 
 
 def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -> Floats:

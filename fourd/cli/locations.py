@@ -31,9 +31,10 @@ OutLocation = Annotated[Location, PATH_OR_URL, tyro.conf.arg(aliases=["-o"])]
 
 @contextmanager
 def scene_or_copy(location: Location) -> Iterator[Location]:
-    """Yield a path or URL from which the scene can be read. A local path and the URL of a .4dv file, which can be read
-    in parts, are yielded unchanged. Any other URL points to an object store such as S3, and its content is copied to a
-    temporary local path, which exists until the block ends."""
+    """Yield a path or URL from which the scene can be read. A local path is yielded unchanged. The URL of a .4dv
+    file is also yielded unchanged, because a .4dv file can be read in parts over the network. Any other URL points to
+    an object store such as S3, and its content is copied to a temporary local path, which exists until the ``with``
+    block ends."""
     if isinstance(location, Path) or location.suffix.lower() == ".4dv":
         yield location
         return

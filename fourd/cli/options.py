@@ -83,7 +83,7 @@ PageStyles = Annotated[
 
 
 def check_mbps(max_mbps: float | None) -> None:
-    """Raise UserError if ``max_mbps`` is given and not a number above 0."""
+    """Raise UserError unless ``max_mbps`` is None or a number above 0 and below 1e9."""
     if max_mbps is not None and not 0 < max_mbps < 1e9:
         raise UserError(f"--max-mbps: expected a number of megabits per second above 0, got {max_mbps}")
 
@@ -113,7 +113,7 @@ def check_hull_shares(agreement: float, least_views: float) -> None:
 
 @dataclass(frozen=True)
 class SelectionOptions:
-    """Cameras and frames of the capture to use."""
+    """Which cameras and frames of the capture the command uses."""
 
     views: Views = None
     frames: Frames = None

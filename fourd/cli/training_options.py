@@ -47,7 +47,8 @@ CONFIG_KEYS = {
     "seed": "seed",
     "segment": "segments.frames",
 }
-"""The options that override a value of the training config, each with the dotted key of the value."""
+"""Maps fields of :class:`TrainingOptions` to dotted keys of the training config. If an option is given, its value
+overrides the value of the key."""
 
 SWITCHES = {
     "refine.poses": "refine_cameras",
@@ -55,7 +56,8 @@ SWITCHES = {
     "refine.colours": "refine_colours",
     "segments.warm_start": "warm_start",
 }
-"""The dotted keys of the training config that a flag sets to true, each with the name of the flag."""
+"""Maps dotted keys of the training config to fields of :class:`TrainingOptions`. If the flag of the field is given, the
+value of the key becomes true."""
 
 
 def _config_option(name: str, metavar: str, text: str | None = None) -> Any:

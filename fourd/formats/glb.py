@@ -81,7 +81,8 @@ def pad(part: bytes, filler: bytes) -> bytes:
 
 
 def write_header(stream: BinaryIO, document: Mapping[str, Any], binary_length: int, name: str) -> None:
-    """Write everything before the binary part, whose length in bytes, ``binary_length``, must be a multiple of 4.
+    """Write the part of a GLB file that precedes the binary data: the file header, the JSON ``document``, and the
+    header of the binary data. ``binary_length`` is the length of the binary data in bytes and must be a multiple of 4.
 
     Raises:
         UserError: if the file would be larger than 4 GiB, the limit of the format. The error message starts with

@@ -35,13 +35,13 @@ _ESCAPES = {"n": "\n", "r": "\r", "t": "\t"}
 
 
 class OpenCvYaml:
-    """The content of a file.
+    """The entries of a YAML file that OpenCV's class FileStorage wrote. The methods parse one entry each.
 
     Args:
-        text: the whole file.
+        text: the whole content of the file.
 
     Raises:
-        ValueError: if the text does not have this format. The message says what was found instead.
+        ValueError: if the text does not have FileStorage's format. The message says what was found instead.
     """
 
     def __init__(self, text: str) -> None:

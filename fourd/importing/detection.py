@@ -26,7 +26,7 @@ from fourd.importing.layouts import CalibrationFormat, Frames, Layout, describe_
 
 @dataclass(frozen=True)
 class Format:
-    """One importer.
+    """An input format of ``fourd import``, with the functions that detect and read sources in this format.
 
     Attributes:
         name: the format's name on the command line.

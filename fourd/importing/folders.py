@@ -223,7 +223,7 @@ def make_camera(
     size: tuple[float, float],
     distortion: Array | None = None,
 ) -> Camera:
-    """Make a Camera with images of ``size`` (width, height).
+    """Make a Camera from calibration values. ``size`` is the width and height of the camera's images in pixels.
 
     For invalid values, raises UserError with a message that starts with ``where``.
     """

@@ -16,7 +16,8 @@ from fourd.importing.imported import ImportedCamera
 
 CalibratedFrames = Literal["auto", "turned", "stored"]
 """Frames to which a calibration belongs: "stored" are the frames as the file stores them, and "turned" are the frames
-after they are turned upright by the rotation in the video's metadata."""
+after they are turned upright by the rotation in the video's metadata. "auto" selects the frames that have the same
+orientation (portrait or landscape) as the images of the calibration, or "turned" if the orientation does not decide."""
 
 
 def turn_camera(camera: Camera, degrees: int) -> Camera:
@@ -66,7 +67,8 @@ def _turn_distortion(distortion: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def reduced_indices(indices: Mapping[str, VideoIndex], reduce: float) -> dict[str, VideoIndex]:
-    """Return the VideoIndex of each video for frames whose width and height are multiplied by ``reduce``, in (0, 1]."""
+    """Return video indices that make the reader scale down all frames: width and height are multiplied by ``reduce``,
+    in (0, 1]."""
     return {name: index if reduce == 1 else index.reduce(reduce) for name, index in indices.items()}
 
 

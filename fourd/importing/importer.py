@@ -230,7 +230,8 @@ def _with_rate(imported: Imported, source: Path, options: ImportOptions) -> Impo
 
 
 def _read_indices(imported: Imported, out: Path, options: ImportOptions, track: Track) -> Indices:
-    """Return the indices of the videos, with the frame sizes multiplied by the factor of the option --scale."""
+    """Return the :class:`~fourd.capture.video.VideoIndex` of each video: frame size, frame times and keyframes. The
+    frame sizes are multiplied by the factor of the option --scale."""
     return reduced_indices(cached_indices(video_files(imported.cameras), out, track), options.reduce)
 
 

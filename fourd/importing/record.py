@@ -19,12 +19,12 @@ from fourd.limits import read_json
 RECORD = DERIVED / "import.json"
 VERSION = 1
 MAX_NUMBER = 1e12
-"""Upper limit of the numbers in a record. Valid offsets in frames and valid scales are far below this limit."""
+"""Upper limit of the numbers in import.json. Valid offsets in frames and valid scales are far below this limit."""
 
 
 @dataclass(frozen=True)
 class ImportRecord:
-    """Record of an import into a folder.
+    """The content of .fourd/import.json: the source, options and state of the import that writes the capture.
 
     Attributes:
         source: the source's path.
@@ -50,7 +50,7 @@ class ImportRecord:
 
 
 def read_record(out: Path) -> ImportRecord | None:
-    """Read the record in the folder ``out``. Returns None if the folder is missing or empty.
+    """Read .fourd/import.json in the folder ``out``. Returns None if the folder is missing or empty.
 
     Raises:
         UserError: when ``out`` is a file, or contains files without a valid record.

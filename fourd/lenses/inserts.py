@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _GAP = 1e-4
-"""Distance of a new ray's origin from the surface, as a fraction of the radius of the insert."""
+"""Distance between an insert (a mirror or a glass ball) and the origin of a ray that continues from it, as a fraction
+of the insert's radius."""
 
 
 @dataclass(frozen=True)
 class Branch:
-    """Rays that continue from an insert: origins and directions (R, 3). Each continued ray adds its light, multiplied
-    by ``share`` (R,), to the light of the ray that met the insert."""
+    """Rays that continue from an insert (a mirror or a glass ball) after other rays have met it. The origins and the
+    directions have the shape (R, 3). Each continued ray adds its light, multiplied by ``share`` (R,), to the light of
+    the ray that met the insert."""
 
     origins: Array
     directions: Array

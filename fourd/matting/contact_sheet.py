@@ -36,7 +36,7 @@ MIN_WIDTH_PX = 120
 SHEET_COLOUR = (32, 32, 32)
 CAPTION_COLOUR = (235, 235, 235)
 FLAT_COLOURS = ((0, 220, 0), (255, 0, 255), (0, 80, 255))
-"""Candidates for the RGB background colour of cut-outs, which differ from black, white and skin colours."""
+"""Candidates for the RGB background colour of cut-outs. All candidates differ from black, white and skin colours."""
 NEAREST_QUANTILE = 0.1
 
 

@@ -19,8 +19,8 @@ from fourd.progress import Track, untracked
 
 FRAMES = 5
 SHIFT = 0.01
-"""Length by which contours are shifted, as a fraction of the longer image side. It is larger than the errors of correct
-contours."""
+"""Length by which a contour is shifted to compare the image gradients at both positions, as a fraction of the longer
+image side. It is larger than the position errors of correct contours."""
 MIN_SHIFT_PX = 3
 MIN_CONTOUR_PX = 40
 MAX_FITTING = 0.25

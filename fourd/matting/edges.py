@@ -118,8 +118,9 @@ def estimate_edge_alpha(rgb: Picture, subject: Picture, radius: int, background:
 def _mean_alpha(
     rgb: Picture, mask: Picture, edge: Flags, radius: int, background: Floats | None, deviation: float
 ) -> Floats:
-    """Return alpha (H, W) for a binary mask (H, W). Pixels near the mask's edge, where ``edge`` (H, W) is true, get the
-    posterior mean of alpha, and all other pixels the mask's value.
+    """Return alpha (H, W) for a binary mask (H, W). At pixels near the mask's edge, where ``edge`` (H, W) is true,
+    alpha is its posterior mean if the colours of the subject and of the background are known there. At all other
+    pixels, alpha is the mask's value.
 
     ``deviation`` is the standard deviation of alpha around the blurred mask.
     """

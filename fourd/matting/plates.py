@@ -43,7 +43,8 @@ The band covers the matte's soft edge and shadows next to the subject.
 OUTLIER_STDS = 3.0
 MIN_OUTLIER_DISTANCE = 6.0
 MIN_WEIGHT = 1.0
-"""A pixel is a hole, where the background is unknown, if the sum of its weights over all frames is below this value."""
+"""Minimum sum of a pixel's background weights over all averaged frames. Pixels with a smaller sum are holes: their
+background is unknown."""
 INPAINT_PX = 5
 
 
@@ -196,7 +197,8 @@ def _weighted_frames(capture: Capture, index: int) -> Iterator[tuple[Floats, Flo
 
 
 def _exposure_gain(rgb: Picture, reference: Picture, weight: Floats) -> Floats:
-    """Return the per-channel gains (3,) that match the brightness of a frame's background pixels to ``reference``."""
+    """Return the gains (3,), one per colour channel, that match the brightness of the frame ``rgb`` to the frame
+    ``reference``. They are computed from the pixels that show the background in ``rgb``."""
     step = max(1, max(rgb.shape) // 256)
     part, other, free = rgb[::step, ::step], reference[::step, ::step], weight[::step, ::step] > 0.99
     free &= (part.min(axis=-1) > 16) & (other.max(axis=-1) < 250) & (part.max(axis=-1) < 250)

@@ -157,7 +157,8 @@ def matte_key(capture: Capture, settings: MatteSettings) -> str:
 
 
 def record_choice(capture: Path, settings: MatteSettings) -> None:
-    """Record whether the user chose the settings of the capture's mattes, for example the matting method.
+    """Record whether the user chose the settings of the capture's mattes. If so, also record the matting method and a
+    hash of the capture's files.
 
     A user chooses settings through the options of ``fourd matte``. The mattes were made with ``settings``, which count
     as chosen by the user if they differ from the default settings.

@@ -70,7 +70,8 @@ class EvaluatedPoints:
 
 
 class PointModel(nn.Module):
-    """The networks of the point model, which all frames share. The points of each frame are stored elsewhere.
+    """The networks of the point model, which all frames share. The points of each frame are not stored in
+    the model: the caller passes them to :meth:`evaluate`.
 
     Point positions are (N, 3) float32 in world units. Time is in [0, 1] over the whole capture. The attribute
     ``shadow`` is the field of the shadows that the foreground casts on the background; only the model of a background
@@ -273,9 +274,10 @@ def unit_directions(xyz: Tensor, viewer: Camera) -> Tensor:
 
 
 def _relative_directions(xyz: Tensor, viewer: Camera, cameras: tuple[Camera, ...]) -> Tensor:
-    """For V source cameras and N points, compare the direction from the viewing camera to the point with the direction
-    from the source camera to the point, as in IBRNet. Of the result (V, N, 4), the first three numbers are the first
-    unit direction minus the second, and the fourth is the cosine of the angle between the two."""
+    """Compare the direction from the viewing camera to each of N points with the directions from V source cameras to
+    the point, as in IBRNet. Let d be the unit vector from the viewing camera to a point, and s the unit vector from a
+    source camera to the point. The result (V, N, 4) contains the three components of d - s, then the cosine of the
+    angle between d and s."""
     target = unit_directions(xyz, viewer)
     parts = []
     for camera in cameras:

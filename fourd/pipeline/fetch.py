@@ -11,7 +11,8 @@ from fourd.storage import StorageUrl, fetch, list_objects
 
 @dataclass(frozen=True)
 class FetchFiles:
-    """The folder into which the source is copied. In it, the copy has the name of the last part of the URL."""
+    """The folder into which the source is copied. The copy in it is named after the last part of the URL, such as
+    ``videos`` for s3://bucket/videos."""
 
     folder: Path
 

@@ -56,7 +56,7 @@ class MatteChoice:
     keep_chosen: bool = False
 
     def settings_for(self, capture: Path, context: Context) -> MatteSettings | None:
-        """Return the settings for making mattes of ``capture``, or None if its mattes are kept, which is logged."""
+        """Return the settings for making mattes of ``capture``. If its mattes are kept, log this and return None."""
         method = chosen_method(capture) if self.keep_chosen and not has_masks(capture) else None
         if method is None:
             if not self.keep_chosen:
@@ -70,8 +70,8 @@ class MatteChoice:
 
 @dataclass(frozen=True)
 class SceneRequest:
-    """The arguments of :func:`make_scene` that do not depend on the folder for intermediate results. In ``run``, the
-    paths of the capture and of the run are not yet set.
+    """The arguments of :func:`make_scene` that do not depend on the folder for intermediate results. The field ``run``
+    does not yet have the paths of the capture and of the run.
     """
 
     source: Location
@@ -154,8 +154,9 @@ def _make_in_folder(request: SceneRequest, folder: Path, runner: Runner) -> None
 
 
 def _make_stored(request: SceneRequest, url: StorageUrl, execute: Execute, is_parallel: bool) -> None:
-    """Run the stages of :func:`make_scene`, and store the results at ``url``. Each machine has its own path of the
-    local copy of ``url``. All other paths must be valid on every machine, so relative ones are made absolute."""
+    """Run the stages of :func:`make_scene`, and store the results at ``url``. The stages work in a local copy of
+    ``url``, whose path can differ between machines. Paths of inputs must be valid on every machine, so relative paths
+    of the source, the user's points and the LPIPS weights are made absolute."""
     if is_parallel and url.scheme == "memory":
         raise UserError(f"{url}: expected a store that all nodes can reach, got the memory of this process; use s3://")
     out, context, given = request.out, request.context, request.run
@@ -210,8 +211,8 @@ def _local_source(source: Location, work: Path, runner: Runner) -> Path:
 
 
 def _run_graph(request: SceneRequest, source: RunRequest, work: Path, out: Path, runner: Runner) -> None:
-    """Run the stages of :func:`make_scene` in the locked folder for intermediate results. ``source`` describes the run,
-    and its field ``capture`` is the path of the input, which may need an import. ``out`` is a local file."""
+    """Run the stages of :func:`make_scene` in the locked folder for intermediate results. ``source`` describes the run.
+    ``source.capture`` is the path of the input, which may need an import. ``out`` is a local file."""
     given, train, options, context = source.capture, source.train, request.imports, request.context
     to_capture = stages_to_capture(given, work / CAPTURE, options)
     remove_unfinished_file(out)

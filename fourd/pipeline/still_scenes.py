@@ -25,7 +25,8 @@ MAX_CHANGED = 1e-4
 
 
 def stands_still(capture: Path, train: TrainConfig) -> bool:
-    """Return True if a capture has no mattes and shows no motion, which includes captures with only one selected frame.
+    """Return True if a capture has neither masks nor mattes and shows no motion. A capture with only one selected frame
+    shows no motion.
 
     Raises:
         UserError: if the capture cannot be opened, or if nothing moves and ``train.scene`` is ``object``, which needs

@@ -9,7 +9,8 @@ from pathlib import Path, PurePosixPath
 from fourd.errors import UserError
 
 URL = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+)://(?P<rest>.*)", re.DOTALL)
-"""A scheme has at least two characters, so that Windows paths such as C:/videos are not URLs."""
+"""Pattern of a URL with any scheme. A scheme has at least two characters, so that Windows paths such as C:/videos are
+not URLs."""
 SCHEMES = ("s3", "gs", "memory")
 """Supported schemes, whose stores replace an object atomically when an upload is completed. memory:// is a store in the
 memory of this process, which tests and Python programs that import fourd can use."""
@@ -77,7 +78,7 @@ Location = Path | StorageUrl
 
 
 def is_url(text: str) -> bool:
-    """Return True if a text is a URL, with any scheme."""
+    """Return True if a text is a URL, even if fourd does not support its scheme."""
     return URL.fullmatch(text) is not None
 
 

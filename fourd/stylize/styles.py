@@ -197,7 +197,7 @@ class Hatching:
 
 @dataclass(frozen=True)
 class Style:
-    """A style. The settings of the sections can be combined freely.
+    """A style: all settings of the non-photorealistic rendering of a scene. They can be combined freely.
 
     Attributes:
         shading: how colours depend on the light.

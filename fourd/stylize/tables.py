@@ -24,7 +24,8 @@ class ShadeMapError(UserError):
 
 
 def make_table(style: Style) -> NDArray[np.uint8]:
-    """Make a style's shade table. Raises ShadeMapError if the style's map is not a PNG of the right shape."""
+    """Make a style's shade table (R, 256, 3), which contains the shading colour for each detail (row) and tone
+    (column). Raises ShadeMapError if the style's shade map is not a PNG of the right shape."""
     if style.shading == "gooch":
         tones = np.linspace(0, 1, TONES)[:, None]
         return _bytes((1 - tones) * np.array(style.gooch.cool) + tones * np.array(style.gooch.warm))[None]
@@ -38,7 +39,8 @@ def make_table(style: Style) -> NDArray[np.uint8]:
 
 
 def read_map(path: Path, most_rows: int) -> NDArray[np.float64]:
-    """Read a shade map (rows, columns, 3) with values in [0, 1]. Raises ShadeMapError."""
+    """Read a shade map (rows, columns, 3) with values in [0, 1]. Raises ShadeMapError if the file cannot be read, is
+    larger than 16 MiB, or is not a PNG with 1 to ``most_rows`` rows and 2 to 4096 columns."""
     try:
         content = np.frombuffer(read_limited(path, _MAX_MAP_BYTES), np.uint8)
     except UserError as error:

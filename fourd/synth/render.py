@@ -186,7 +186,7 @@ def _shade(part: Part, eye: Array, direction: Array, t: Array, gloss: float) -> 
 
 
 def _normals(part: Part, local: Array) -> Array:
-    """Return the outward normals (N, 3) of the part, before scaling, at the surface points ``local`` (N, 3). They are
+    """Return the outward normals (N, 3) of the unscaled part at its surface points ``local`` (N, 3). The normals are
     not normalised.
 
     Before scaling, the part is the union of spheres whose centres lie on the segment between the centres of its two end

@@ -130,7 +130,7 @@ def latest_checkpoint(folder: Path) -> tuple[Path | None, str]:
 
 
 def load_checkpoint(path: Path) -> tuple[int, dict[str, Tensor], dict[str, Any]]:
-    """Read (step, tensors, state) of a checkpoint. Tensors are on the CPU.
+    """Read a checkpoint, and return its step, its tensors (on the CPU) and its state.
 
     Raises UserError if the file is missing, truncated, altered, or not a checkpoint.
     """
@@ -359,7 +359,8 @@ def _new_hash() -> hashlib.blake2b:
 
 
 def _checksum(tensors: Mapping[str, Tensor]) -> int:
-    """Compute the CRC-32 of the tensors' names and bytes, which checkpoints of older versions of fourd contain."""
+    """Compute the CRC-32 of the tensors' names and bytes. Older versions of fourd stored it in checkpoints instead of a
+    digest."""
     value = 0
     for name in sorted(tensors):
         value = zlib.crc32(name.encode(), value)

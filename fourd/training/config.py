@@ -95,7 +95,8 @@ class BackgroundConfig:
     radiance: RadianceConfig = field(default_factory=RadianceConfig)
     """Settings of the radiance field for `seeding: ngp`."""
     planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(levels=4, base_resolution=64, time=False))
-    """K-Planes of the background, in contracted space."""
+    """Settings of the background's K-Planes. A contraction maps unbounded space into the volume that these planes
+    cover."""
     joint: bool = True
     """Each training step uses either a frame or a clean plate as ground truth (see `share`). If `joint` is true, steps
     on a frame render and train foreground and background together. If it is false, they render and train only the
@@ -140,11 +141,11 @@ class DensifyConfig:
     on: bool = True
     """Split and remove points during training."""
     frame_every: int = 40
-    """Number of training steps on a frame between two densifications of the frame's points. Each densification also
-    removes the points that are at least `frame_every` steps old and have never received a gradient."""
+    """Number of training steps on a frame after which the points of this frame are densified again. Each densification
+    also removes the points that are at least `frame_every` steps old and have never received a gradient."""
     background_every: int = 250
-    """Number of steps between two densifications of the background. Each densification also removes the background
-    points that are occluded in every clean plate whose image contains them."""
+    """Number of training steps on the background after which it is densified again. Each densification also removes the
+    background points that are occluded in every clean plate whose image contains them."""
     share: float = 0.1
     """Maximum fraction of the points that are split in one densification."""
     growth: float = 1.25

@@ -300,7 +300,8 @@ def read_run_plates(
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove the unfinished files that killed processes left in a run. The caller must hold the lock on the run.
+    """Remove the temporary files that remain in a run's folder after a process was killed. The caller must hold the
+    lock on the run.
 
     Scratch folders are not removed, because running processes may use them; see :class:`Scratch`.
     """
@@ -310,7 +311,8 @@ def remove_leftovers(folder: Path) -> None:
 
 
 def drop_stale_points(checkpoints: Path) -> None:
-    """Remove points folders whose checkpoint file was deleted or never completed."""
+    """Remove the points folders of checkpoints whose ``.safetensors`` file is missing, because it was deleted or was
+    never completely written."""
     for folder in checkpoints.glob("*.points"):
         if not folder.with_suffix(".safetensors").exists():
             shutil.rmtree(folder)

@@ -87,10 +87,10 @@ class ViewStore:
         return self._with_current_camera(self._cache[key], camera)
 
     def widened(self, camera: int, frame: int, margin_px: int) -> View:
-        """Return a view extended by up to ``margin_px`` pixels on each side.
+        """Return a camera's view of a frame, extended by a margin on each side.
 
-        The margin is rounded down to a multiple of SIZE_STEP_PX / 2. The extended view is clipped to the image and is
-        not cached.
+        The margin is ``margin_px``, rounded down to a multiple of SIZE_STEP_PX / 2. The extended view is clipped to the
+        image and is not cached.
         """
         view, whole = self.view(camera, frame), self.capture.cameras[camera]
         margin_px -= margin_px % (SIZE_STEP_PX // 2)

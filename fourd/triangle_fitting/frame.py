@@ -47,7 +47,8 @@ class FittedFrame:
     Attributes:
         mesh: the opaque mesh.
         steps: number of completed optimization steps.
-        soft: scores of the soft triangles in held-out views, or None if there are no held-out views or no soft phase.
+        soft: scores, in held-out views, of the triangles at the end of the soft phase, in which they can be translucent
+            and fade towards their edges. None if there are no held-out views or if the fit has no soft phase.
         opaque: scores of the mesh in held-out views, or None if there are no held-out views.
         is_interrupted: whether Ctrl-C ended the fit early.
     """

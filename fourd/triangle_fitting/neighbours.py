@@ -29,7 +29,8 @@ class Neighbours:
     @staticmethod
     @torch.no_grad()
     def of(corners: Tensor) -> Neighbours:
-        """Find the pairs of neighbouring triangles (T, 3, 3) whose normals differ by less than 90 degrees."""
+        """Pair each triangle with those of its NEIGHBOURS nearest triangles whose normals differ from its own normal by
+        less than 90 degrees. ``corners`` (T, 3, 3) are the vertices of all triangles."""
         centres, normals = corners.mean(dim=1), unit_normals(corners)
         count = min(NEIGHBOURS + 1, len(corners))
         tree = cKDTree(centres.numpy())

@@ -59,7 +59,8 @@ class Soup:
         )
 
     def step(self, loss: Tensor, phase: Phase) -> Tensor:
-        """Update all parameters with one step. Return the gradient of the corners (T, 3, 3)."""
+        """Update all parameters with one optimizer step. Return the gradient (T, 3, 3) of ``loss`` with respect to the
+        corners."""
         rows = (self.corners, self.colours, self.logits)
         gradients = torch.autograd.grad(loss, [each.value for each in rows], materialize_grads=True)
         for each, gradient, factor in zip(rows, gradients, (phase.rate, 1.0, 1.0), strict=True):

@@ -17,7 +17,7 @@ from fourd.triangle_fitting.soft import NEIGHBOUR_STEPS
 from fourd.triangle_fitting.targets import Target, TargetOrder
 
 POSITION_RATE = 0.02
-"""Learning rate of vertex positions, as a multiple of the mesh's resolution ``side``."""
+"""Learning rate of vertex positions, as a multiple of ``side``, the length that is the mesh's resolution."""
 COLOUR_RATE = 0.01
 
 

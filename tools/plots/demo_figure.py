@@ -64,13 +64,13 @@ def main() -> None:
 
 
 def cut_out(capture: Capture, camera: int, frame: int) -> Picture:
-    """Return the subject of a camera image, composited over the background colour, (H, W, 3)."""
+    """Return a camera image (H, W, 3) in which the background colour replaces everything except the subject."""
     matte = capture.mask(camera, frame)[..., None] / 255
     return np.rint(capture.image(camera, frame) * matte + BACKGROUND * (1 - matte)).astype(np.uint8)
 
 
 def draw(reader: SceneReader, frame: int, camera: Camera) -> Picture:
-    """Render the scene over the background colour, (H, W, 3)."""
+    """Render the scene over the background colour. Return the image (H, W, 3)."""
     grey = BACKGROUND / 255
     return Player().draw(reader.read(frame), camera, reader.manifest, background=(grey, grey, grey))[..., :3]
 

@@ -39,7 +39,8 @@ def shaded(mesh: ColouredMesh, camera: Camera) -> NDArray[np.float32]:
 
 
 def images_of(folder: Path, view: str, separate: Path, connected: Path) -> list[NDArray[np.float32]]:
-    """Return the images of one capture, cropped to the subject and scaled to the same height."""
+    """Return four images of a view: the photo, the mesh of separate triangles, the connected mesh, and the connected
+    mesh in grey. All images are cropped to the subject and scaled to the same height."""
     capture = open_capture(folder)
     index = capture.names.index(view)
     camera, matte = capture.cameras[index], capture.mask(index, 0)

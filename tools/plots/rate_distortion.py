@@ -51,9 +51,11 @@ class Arguments:
     """Step between the frames that are exported to other formats: with 8, every eighth frame is exported. A large step
     saves time, because the conversion to SOG is slow."""
     levels: tuple[str, ...] = tuple(f"{tier}{level + 1}" for tier in LEVELS for level in range(len(LEVELS[tier])))
-    """Levels of packed scenes to measure. The default is all levels."""
+    """Levels (sets of quantisation steps) at which the scene is packed and measured, for example `stream2`. The default
+    is all levels."""
     transform: Path | None = None
-    """Path of the program splat-transform. By default, the formats of other programs are not measured."""
+    """Path of the program splat-transform. If it is not given, only the unpacked and packed scenes are measured, and
+    not 3DGS PLY, compressed PLY, SPZ and SOG."""
     degrees: tuple[int, ...] = (0, 1, 2, 3)
     """Degrees of spherical harmonics at which splats are exported."""
 

@@ -39,7 +39,8 @@ from tools.scale.local_nodes import cpu_seconds
 PAGE_SECONDS = 2.0
 """Interval in seconds between the page's requests."""
 SETTLE_SECONDS = 3.0
-"""Seconds between the start of a window and the start of its measurement."""
+"""Seconds between the start of a time window, in which the page is either open or closed, and the start of the
+measurement in this window."""
 
 
 def main() -> None:
@@ -62,7 +63,8 @@ def main() -> None:
 
 
 def measure(run: Path, processes: tuple[int, int], watch: Callable[[bool], None], windows: int, seconds: float) -> None:
-    """Print the training speeds in windows with and without the page, and the CPU time of the server.
+    """Print the training speeds with the page open and with the page closed, measured in pairs of time windows, and the
+    CPU time of the server.
 
     Args:
         run: the run's folder.

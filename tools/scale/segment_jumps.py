@@ -4,8 +4,9 @@
 
 RUN was trained in segments: ranges of frames that are trained separately and overlap by some frames. A frame step is
 the mean absolute difference between the images of two successive frames, averaged over the run's held-out cameras. It
-counts as a step between segments if at least one of the two frames is in the overlap of two segments. The subject does
-not move by the same amount in every frame, so the steps of the captured images are measured too, for comparison.
+counts as a step between segments if the two frames belong to different segments, or if at least one of them is in the
+overlap of two segments. The subject does not move by the same amount in every frame, so the steps of the captured
+images are measured too, for comparison.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ def main(run_path: Path, scene_path: Path) -> None:
 
 
 def _steps(frame_images: Callable[[int], list[NDArray[np.float32]]], count: int) -> NDArray[np.float64]:
-    """Return the ``count`` - 1 steps between ``count`` frames. ``frame_images`` returns the images of a frame."""
+    """Return the ``count`` - 1 frame steps of ``count`` frames. A frame step is the mean absolute difference between
+    the images of two successive frames. ``frame_images`` returns the images of a frame."""
     steps, before = [], frame_images(0)
     for frame in range(1, count):
         after = frame_images(frame)
@@ -65,8 +67,8 @@ def _on_black(run: Run, index: int, frame: int) -> NDArray[np.float32]:
 
 
 def _steps_between_segments(run: Run) -> NDArray[np.bool_]:
-    """Return a mask (F - 1,) of the steps between F frames. It is true for a step if at least one of its two frames is
-    in the overlap of two segments."""
+    """Return a mask (F - 1,) with one entry for each two successive frames of a run of F frames. An entry is true if
+    the two frames belong to different segments, or if at least one of them is in the overlap of two segments."""
     count = run.capture.frame_count
     plan = SegmentPlan.divide(count, run.config.train.segments)
     owners = [plan.shares(frame) for frame in range(count)]

@@ -85,7 +85,8 @@ def main() -> None:
 
 
 def report(simulation: Simulation, expected: str, watched: Watched, nodes: int) -> None:
-    """Print the durations, the result of the scene comparison, and the numbers of lost and repeated units."""
+    """Print the durations, the result of the scene comparison, and the numbers of lost and repeated units. A unit is
+    the part of a stage's work between two checkpoints."""
     counts = simulation.counts()
     segments = {name: found for name, found in counts.items() if name.startswith(TRAINED)}
     others = {name: found for name, found in counts.items() if name not in segments}
@@ -133,7 +134,7 @@ def report_bar(text: str) -> None:
 
 
 def _expected_scene(simulation: Simulation) -> str:
-    """Run the simulation in this process, with units that do not wait, and return its scene."""
+    """Run the simulation in this process, without waiting times, and return its scene."""
     here = replace(simulation, folder=simulation.folder.with_name("here"), seconds=0.0)
     shutil.copytree(simulation.folder, here.folder)
     here.run(Runner(Context(), here.folder / "stages.json"))

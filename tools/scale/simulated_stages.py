@@ -39,7 +39,8 @@ SIZE = 32
 
 @dataclass(frozen=True)
 class UnitCounts:
-    """Counts how often the units of one or more stages were executed.
+    """Counts how often the units of one or more stages were executed. A unit is the part of a stage's work between two
+    checkpoints.
 
     Attributes:
         units: number of units.
@@ -63,8 +64,9 @@ class Simulation:
         cameras: number of cameras.
         frames: number of frames.
         segment: maximum number of frames of a segment.
-        units: number of units of the training of one segment. The stages "mattes" and "plates" have one unit per
-            camera, "carve" has one per segment, and the other stages have a single unit.
+        units: number of units (parts of a stage's work between two checkpoints) in the training of one segment. The
+            stages "mattes" and "plates" have one unit per camera, "carve" has one unit per segment, and the other
+            stages have a single unit.
         seconds: waiting time of a unit in seconds.
     """
 
@@ -110,7 +112,8 @@ class Simulation:
                 runner.run(group)
 
     def started_units(self) -> int:
-        """Return the number of times that units were started. A unit that was lost and repeated counts twice."""
+        """Return the number of times that units of all stages were started. A unit that was lost and repeated counts
+        twice."""
         return sum(counts.units + counts.repeated for counts in self.counts().values())
 
     def counts(self) -> dict[str, UnitCounts]:

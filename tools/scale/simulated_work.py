@@ -35,8 +35,8 @@ class SimulatedFiles:
 
     @property
     def log(self) -> Path:
-        """Path of the log. Each start and each end of a unit adds one line with the process id. A lost unit is started
-        again, so it has several start lines."""
+        """Path of the log. Each start and each end of a unit (see :class:`SimulatedSettings`) adds one line with the
+        process id. A unit that was lost is started again, so it has several start lines."""
         return self.folder / f"{self.name}.log"
 
     @property
@@ -47,14 +47,15 @@ class SimulatedFiles:
 
 @dataclass(frozen=True)
 class SimulatedSettings:
-    """The number of units of a stage, and the waiting time of each unit in seconds."""
+    """The number of units of a simulated stage, and the waiting time of each unit in seconds. A unit is the part of the
+    stage's work between two checkpoints."""
 
     units: int
     seconds: float
 
 
 def work(files: SimulatedFiles, settings: SimulatedSettings, context: Context) -> None:
-    """Run all unfinished units, and write the output."""
+    """Wait once for each unit of the stage that is not finished, and write the stage's output."""
     done = int(files.count.read_text()) if files.count.exists() else 0
     for unit in range(done, settings.units):
         _log(files.log, STARTED, unit)

@@ -23,8 +23,8 @@ EXTRAS = ("train", "dev", "docs")
 BUILD = ("cmake", "ninja", "scikit-build-core", "nanobind")
 """Packages that are needed to build the kernels. `make` installs them in the same environment as fourd."""
 OF_TORCH = ("torch", "triton", "cuda-", "nvidia-")
-"""Packages that are left out. A string that ends with a hyphen is a prefix of package names; any other string is a
-whole name."""
+"""Packages that are left out of the lock file. A string that ends with a hyphen is a prefix of package names; any other
+string is a whole name."""
 HEADER = """\
 # All packages that `make` installs, except torch and the packages of CUDA, for all platforms and versions of Python.
 # tools/security/lock.py writes this file. pip installs only files with one of these hashes (--require-hashes).

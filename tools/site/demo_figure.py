@@ -45,7 +45,7 @@ def _bytes(rgb: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def _titled(tile: NDArray[np.uint8], title: str) -> NDArray[np.uint8]:
-    """Crop an image to the middle two thirds of its width, and write a title in the corner."""
+    """Crop an image to the middle two thirds of its width, and write a title in the top left corner."""
     side = HEIGHT // 6
     tile = np.ascontiguousarray(tile[:, side:-side])
     return np.asarray(cv2.putText(tile, title, (8, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (60, 60, 60), 1, cv2.LINE_AA))

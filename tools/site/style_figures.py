@@ -108,8 +108,8 @@ def _mesh(mesh: Path, folder: Path) -> NDArray[np.uint8]:
 
 
 def _content(picture: NDArray[np.uint8], margin_px: int = 24) -> tuple[int, int, int, int]:
-    """Return the bounds (top, bottom, left, right) of the pixels whose colour differs from the top left pixel, with a
-    margin."""
+    """Return the bounds (top, bottom, left, right) of the image content, extended by ``margin_px`` on each side. The
+    content is all pixels whose colour differs from the colour of the top left pixel."""
     differs = (picture != picture[0, 0]).any(axis=2)
     rows, columns = np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))
     top, left = max(rows[0] - margin_px, 0), max(columns[0] - margin_px, 0)

@@ -72,7 +72,7 @@ def _open(text: str) -> tuple[Scene, Camera]:
 
 
 def _row(text: str, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return the images of a scene side by side: without a style, and in each preset."""
+    """Return the images of a scene side by side: without a style, and in each preset style."""
     scene, camera = _open(text)
     index = len(scene) // 2
     camera = _zoom(scene, index, camera, size)

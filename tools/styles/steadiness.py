@@ -64,7 +64,8 @@ class Arguments:
     size: tuple[int, int] = (960, 540)
     """Width and height of the images in pixels."""
     reach: int = 2
-    """A pixel is unchanged only if the true surface stays the same within this distance, in pixels."""
+    """Distance in pixels. A pixel counts as unchanged only if the true surface stays the same at all pixels up to this
+    distance away."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +79,8 @@ class Truth:
 
 @dataclass
 class Count:
-    """The number of edge pixels, and how many of them flicker."""
+    """The number of edge pixels (unchanged pixels that have a line in at least one of three successive frames), and how
+    many of them flicker."""
 
     edges: int = 0
     flickering: int = 0

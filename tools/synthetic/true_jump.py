@@ -30,10 +30,10 @@ from fourd.viewer.navigation.paths import orbit
 
 @dataclass(frozen=True)
 class Arguments:
-    """The run and the orbit."""
+    """The training run, and the number of images on the orbit."""
 
     run: tyro.conf.Positional[Path]
-    """Folder of a run that was trained on a capture of fourd synth."""
+    """Folder of a training run. Its capture must have been written by fourd synth."""
     images: int = 240
     """Number of images on a full orbit at the middle frame."""
 

@@ -48,8 +48,8 @@ PAGES = {
         ("playcanvas/build", "playcanvas/scripts", "@playcanvas/supersplat-viewer/dist"),
     ),
 }
-"""The viewers of the exported file, by name. Each has the name of its page in this folder, and the package folders that
-the page loads."""
+"""The viewers that show the exported PLY file. The name of each viewer maps to the name of its page in this folder, and
+to the folders of the npm packages that the page loads."""
 NEAR, FAR = 0.05, 50.0
 PATH_STEPS, STEP_DEGREES = 90, 0.5
 PLAYER = """
@@ -68,7 +68,7 @@ PLAYER = """
         return {draw, canvas: player.panel.canvas};
     })();
 """
-"""A script that gives a page with <fourd-player> the interface documented in loop.js."""
+"""A script for the page with <fourd-player>. It defines ``window.viewer``, which loop.js documents."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def main() -> None:
 
 
 def write_pages(arguments: Arguments, scene: Any) -> None:
-    """Write a site with <fourd-player>, and a page with the exported frame for each other viewer."""
+    """Write one page per viewer. <fourd-player> shows the scene, and the other viewers show the exported frame."""
     out = arguments.out
     npm = out / "npm"
     npm.mkdir(parents=True, exist_ok=True)

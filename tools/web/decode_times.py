@@ -83,7 +83,8 @@ def main() -> None:
 
 
 def measure(scene: Path, site: Path, rounds: int) -> str:
-    """Return the table row of a scene whose page is in the folder ``site``."""
+    """Measure the times to decode the frames of a scene, and return its table row. The folder ``site`` contains the web
+    page of the scene."""
     reader = SceneReader(site / SCENE_NAME)
     manifest = reader.manifest
     reader.close()

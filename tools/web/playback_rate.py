@@ -118,8 +118,8 @@ class Arguments:
     seconds: float = 10.0
     """Duration of the measured playback in seconds."""
     tier: Tier | None = None
-    """Tier in which the scene is packed, at the tier's default level. By default, the best tier and level that fit the
-    connection are used."""
+    """Tier (quality, such as "stream") in which the scene is packed, at the tier's default level (set of quantisation
+    steps). By default, the best tier and level that fit the connection are used."""
     repeat: int = 1
     """Number of times that the frames are played in succession."""
     rounds: int = 5

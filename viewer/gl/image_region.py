@@ -27,7 +27,8 @@ class ImageRegion:
 
 
 class RegionFinder:
-    """Computes image regions. The box around the points of the last frame is kept for the next image."""
+    """Computes the part of the image that the points of a frame can cover. The bounding box of the points is kept, so
+    that it is not computed again while successive images show the same frame."""
 
     def __init__(self) -> None:
         self._frame: BakedFrame | None = None

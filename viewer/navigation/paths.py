@@ -23,7 +23,8 @@ Bounds = tuple[Sequence[float], Sequence[float]]
 PathKind = Literal["orbit", "spiral", "cameras"]
 
 _MAX_GAP = np.radians(120)
-"""Largest difference in azimuth, in radians, between neighbouring cameras of a full circle.
+"""The cameras count as a full circle only if the azimuths of neighbouring cameras differ by at most this angle, in
+radians.
 
 Across a larger gap, no camera observes the side of the scene between the two cameras.
 """
@@ -37,7 +38,7 @@ def camera_path(
     *,
     size: tuple[int, int] | None = None,
 ) -> list[Camera]:
-    """Return a looping path of :func:`orbit`, :func:`spiral` or :func:`interpolate`, depending on ``kind``.
+    """Call :func:`orbit`, :func:`spiral` or :func:`interpolate`, depending on ``kind``, and return the looping path.
 
     A path of the kind "cameras" goes through all cameras in order of azimuth.
     """
@@ -152,12 +153,13 @@ def order_by_azimuth(cameras: Sequence[Camera], focus: Sequence[float] | Array |
 
 
 def estimate_focus(cameras: Sequence[Camera], bounds: Bounds | None = None) -> Array:
-    """Return the least-squares intersection of all optical axes, (3,), or a substitute if it is not reliable.
+    """Return the least-squares intersection (3,) of all optical axes or, if it is not reliable, a substitute point.
 
-    The intersection is not reliable if the axes are nearly parallel, if there is only one camera, or if it lies behind
-    at least half of the cameras. The substitute is the centre of ``bounds`` (lower, upper) or, if ``bounds`` is None, a
-    point in front of the cameras along their mean viewing direction. The distance of this point from the mean camera
-    centre is three times the largest distance of a camera centre from the mean, or 1 world unit for a single camera.
+    The intersection is not reliable if the axes are nearly parallel, if there is only one camera, or if the
+    intersection lies behind at least half of the cameras. The substitute is the centre of ``bounds`` (lower, upper) or,
+    if ``bounds`` is None, a point in front of the cameras along their mean viewing direction. The distance of this
+    point from the mean camera centre is three times the largest distance of a camera centre from the mean, or 1 world
+    unit for a single camera.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -254,8 +256,8 @@ def _measure_rig(
 
 
 def _path_azimuths(rig: _Rig, steps: int, full: bool | None, turns: int = 1) -> Array:
-    """Return the azimuths (steps,) of the images in radians, along full circles or along swings back and forth over the
-    arc of the cameras."""
+    """Return the azimuth of each image of a path in radians, (steps,). The path consists of full circles, or of swings
+    back and forth over the arc that the cameras cover."""
     phases = 2 * np.pi * turns * np.arange(steps) / steps
     ordered = np.sort(rig.azimuths)
     gaps = np.diff(ordered, append=ordered[0] + 2 * np.pi)

@@ -28,7 +28,7 @@ class PathSample:
 
 @dataclass(frozen=True, eq=False)
 class RecordedPath:
-    """A recorded path with ``fps`` samples per second."""
+    """A camera path that the user has recorded in the viewer, with ``fps`` samples per second."""
 
     samples: tuple[PathSample, ...]
     fps: float = RECORDED_FPS

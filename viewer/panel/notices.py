@@ -14,7 +14,7 @@ _FLAGS = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resiz
 
 
 def draw_notices(state: ViewerState) -> None:
-    """Draw the spinner while a scene or a frame is being read, and the message unless it is empty."""
+    """Draw the spinner while a scene or a frame is being read, and the message to the user if there is one."""
     session = state.session
     if session.is_opening or session.is_waiting:
         _draw_spinner(state, "opening" if session.is_opening else "reading a frame")

@@ -21,7 +21,8 @@ _NICENESS = 10
 
 
 class RunSource:
-    """Bakes frames of the newest checkpoint of a run. This class needs torch and is not thread-safe.
+    """Computes (bakes) the frames of a training run from its newest checkpoint. This class needs torch and is not
+    thread-safe.
 
     Raises UserError when the folder is not a run, has no readable checkpoint, or cannot be baked.
     """

@@ -42,8 +42,8 @@ def add_field_depths(
     continued: Sequence[Surface],
     track: Track,
 ) -> list[Surface]:
-    """Fill the unknown cells of measured surfaces with median depths of the field, if another plate confirms these
-    depths.
+    """Add depths to those cells of surfaces whose depth stereo did not measure. A cell gets the median depth of the
+    field if another plate confirms this depth, and otherwise the extrapolated depth.
 
     Let A be the number of other plates whose surfaces agree with a cell's depth, and O the number of other plates whose
     surfaces the cell would occlude. The cell is confirmed if A >= 1 and O <= A. Confirmed cells get support 1.
@@ -64,7 +64,7 @@ def add_field_depths(
 
 
 def _merge_depths(field: OptimizedField, plate: ReducedPlate, measured: Surface) -> Surface:
-    """Fill the unknown cells of a measured surface with the median depths of the field."""
+    """Add the field's median depths to those cells of the surface ``measured`` whose depth stereo did not measure."""
     grid = measured.depths.grid
     inverse = measured.depths.inverse_depth.astype(np.float64)
     unknown = ~measured.known

@@ -29,9 +29,10 @@ from fourd.progress import Log, Track, untracked
 Array = NDArray[np.float64]
 
 FEW_SHARE = 0.1
-"""Minimum share of the depth-map cells outside the plates' holes (areas that do not show the background). If stereo
-measures the depth of a smaller share, a rough shape of the room guides the extrapolation of depths. If two plates agree
-on the depth of a smaller share in the result, the log calls the other depths a rough estimate."""
+"""Threshold for two fractions of the depth-map cells outside the plates' holes (areas that do not show the background).
+If the fraction of cells with a depth measured by stereo is below the threshold, a rough shape of the room guides the
+extrapolation of depths. If the fraction of cells with a depth that two plates confirm is below the threshold, the log
+calls the other depths a rough estimate."""
 MIN_SHARE = 0.01
 """If the fraction of depth-map cells with a confirmed depth, among all cells outside the plates' holes, is below this
 value, an error is raised."""

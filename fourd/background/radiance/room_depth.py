@@ -41,7 +41,8 @@ BISECTION_STEPS = 8
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """Distance from the room's centre to the surrounding surfaces in all directions.
+    """Rough shape of the room that the plates show, given by the distance from the room's centre to the surrounding
+    surface in each direction.
 
     Attributes:
         sphere: the grid of directions around the centre.

@@ -41,7 +41,7 @@ half."""
 
 
 def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], seed: int) -> list[Surface]:
-    """Complete the unknown cells of surfaces.
+    """Complete surfaces: extrapolate depths into their unknown cells, which have no depth yet.
 
     A completed depth is the minimum of an interpolated depth and the depth of the nearest enclosing plane. The
     interpolated depth comes from harmonic interpolation of inverse depth, which is exact for planar surfaces. The
@@ -94,7 +94,7 @@ def _off_planes(surface: Surface, planes: EnclosingPlanes) -> NDArray[np.bool_]:
 def _complete(
     surface: Surface, view: GreyView, planes: EnclosingPlanes, xyz: Array, prefers_planes: bool
 ) -> tuple[Surface, NDArray[np.bool_]]:
-    """Complete the surface of one image.
+    """Extrapolate depths into the unknown cells of one image's surface.
 
     Args:
         surface: the image's surface.

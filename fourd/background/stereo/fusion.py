@@ -138,7 +138,8 @@ def _filter_consistent(index: int, surfaces: Sequence[Surface], strict: bool) ->
 def count_agreement(
     index: int, surfaces: Sequence[Surface], cells: NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Compare cells (M,) of one surface with all other surfaces.
+    """For each of the ``cells`` (M,) of the surface ``surfaces[index]``, count the other surfaces that agree with the
+    cell, and the other surfaces that the cell would occlude.
 
     Returns:
         agreeing: (M,) number of other surfaces that agree with the cell. A surface agrees if its depth matches and if

@@ -32,7 +32,8 @@ making the inverse depth negative."""
 def complete_with_guidance(
     surfaces: Sequence[Surface], views: Sequence[GreyView], guides: Sequence[Array]
 ) -> list[Surface]:
-    """Complete the unknown cells of surfaces with guides, which are coarse depth estimates.
+    """Complete surfaces: extrapolate depths into their unknown cells with the help of guides, which are coarse
+    estimates of the depths of all cells.
 
     The correction of the guide is the known inverse depth minus the guide's inverse depth. It is extrapolated into
     unknown cells and added to the guide there. Cells that would occlude a known surface of another image stay unknown.

@@ -14,7 +14,8 @@ Array = NDArray[np.float64]
 
 MAX_PLANES = 4
 MIN_INLIER_WEIGHT = 12
-"""Minimum sum of the weights of a plane's inliers."""
+"""Minimum sum of the weights of a plane's inliers. The weights of points are an argument of
+:func:`find_large_planes`."""
 RANSAC_TRIALS = 500
 TOLERANCE = 0.003
 """Maximum distance of a plane's inliers from the plane, as a multiple of the typical distance between cameras and

@@ -113,7 +113,8 @@ def _sample_at(sloped: Sequence[_SlopedSurface], seen: Sequence[Bools], side: fl
 
 
 def _part_samples(sloped: _SlopedSurface, seen: Bools, tiling: _Tiling) -> Samples:
-    """Sample the surface at the centre of each part if the centre lies on a known cell."""
+    """Sample the surface at the centre of each part of a square. Parts are skipped if their centre lies outside the
+    image, in an unknown cell, or at a pixel where the mask ``seen`` is false."""
     surface = sloped.surface
     xy = tiling.centres()
     last = (surface.camera.width - 1, surface.camera.height - 1)

@@ -70,7 +70,8 @@ def archive_size(archive: zipfile.ZipFile) -> int:
 
 
 def check_members(path: Location, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
-    """Check the names and sizes of the members, and return their ZIP entries by name. Raises UserError."""
+    """Check the members' names and sizes, and that the members are neither compressed nor encrypted. Returns their ZIP
+    entries by name. Raises UserError if a member fails the check."""
     members: dict[str, zipfile.ZipInfo] = {}
     size, total = archive_size(archive), 0
     for info in archive.infolist():

@@ -48,7 +48,8 @@ _RGB_SPACE = 7
 
 @dataclass(frozen=True, eq=False)
 class ViewImage:
-    """A decoded image.
+    """Decoded image of a source view. It contains the differences between the points' colours in this view and the
+    points' mean colours.
 
     Attributes:
         left, top: position of the image's first texel in the camera's grid.
@@ -73,7 +74,8 @@ def load_av() -> ModuleType:
 
 
 def grid_size(camera: Camera, scale: float) -> tuple[int, int]:
-    """Return the width and the height of the grid in texels. Both are even."""
+    """Return the width and the height, in texels, of the texel grid over the camera's image. One pixel spans ``scale``
+    texels. The width and the height are even and at most MAX_SIDE."""
     width, height = (2 * int(np.ceil(side * scale / 2)) for side in (camera.width, camera.height))
     return min(width, MAX_SIDE), min(height, MAX_SIDE)
 
@@ -125,8 +127,8 @@ def decode_image(content: bytes, camera: Camera, scale: float) -> ViewImage:
 
 
 def sample_differences(image: ViewImage, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the differences from the mean colours in red, green and blue, each (N,), at the grid positions x (N,) and
-    y (N,).
+    """Sample the colour differences that the image contains at the grid positions x (N,) and y (N,). Returns three
+    arrays (N,), for red, green and blue, in units of 1/255.
 
     The planes are sampled bilinearly, and positions beyond a border are clamped to it.
     """

@@ -101,7 +101,8 @@ def make_image(
     scale: float,
     crf: int,
 ) -> bytes:
-    """Return the stored image of a view.
+    """Fit the image of a source view to the points' colour differences, and encode it as a header and a VP9 key frame.
+    If there are no points, the result is only the header of an empty image.
 
     Args:
         xyz: (M, 3) positions of the points that the view sees, as readers decode them.

@@ -21,7 +21,8 @@ MAX_TANH = 0.95
 
 
 class LightFit:
-    """Fits spherical harmonics to the points of a scene, for a light scene."""
+    """Converts point clouds for a light scene, which has no source views: fits spherical harmonics to the points'
+    colours."""
 
     def __init__(self, manifest: SceneManifest) -> None:
         self._fit = ColourFit(manifest, _before_tanh, LIGHT_DEGREE)

@@ -58,8 +58,8 @@ def pack_scene(
     storage: Storage | None = None,
     has_normals: bool = False,
 ) -> PackReport:
-    """Write the scene ``source`` as a packed scene of a tier. Each frame is read twice, and only one frame is kept in
-    memory.
+    """Write the scene ``source`` as a packed scene, which has quantised and compressed points, with the quality
+    ``tier``. Each frame is read at least twice, and only one frame is kept in memory.
 
     Args:
         source: a `.4dv` of any version.
@@ -170,15 +170,15 @@ class _Packer:
         return replace(report, colour_psnr=self.colours.psnr if has_images else None)
 
     def _read(self, index: int, *, for_file: bool = False) -> BakedFrame:
-        """Read the dynamic points of a frame that are visible in at least one view, and convert them for the tier.
-        Normals are left out if ``for_file`` is false.
+        """Read those dynamic points of a frame that are visible in at least one view, and apply the conversion of
+        :func:`_conversion` to them. Normals are left out if ``for_file`` is false.
         """
         cloud = self.reader.read_dynamic(index)
         visible = _select(cloud, find_visible(cloud, self.reader.manifest, self.precision.min_visibility))
         return self._prepare(visible) if for_file else self.convert(replace(visible, normals=None))
 
     def _prepare(self, cloud: BakedFrame, *, is_background: bool = False) -> BakedFrame:
-        """Convert a cloud for the tier, with normals if the packed scene has them.
+        """Apply the conversion of :func:`_conversion` to a cloud. The result has normals if the packed scene has them.
 
         Normals are estimated before the conversion, because they are oriented towards the source views that see a
         surface, and the conversion for the tier "light" removes the source views.
@@ -208,8 +208,9 @@ def _select(cloud: BakedFrame, indices: NDArray[np.int64]) -> BakedFrame:
 
 
 def _conversion(manifest: SceneManifest, tier: Tier) -> tuple[Callable[[BakedFrame], BakedFrame], SceneManifest]:
-    """Return the function that converts a cloud for the tier, and the manifest of the packed scene, in which normals
-    are not listed as an attribute."""
+    """Return the function that converts a cloud for the tier (quality of a packed scene), and the manifest of the
+    packed scene, in which normals are not listed as an attribute. For the tier "light", the function replaces the
+    source views by spherical harmonics that are fitted to the colours. For the other tiers, it changes nothing."""
     optional = tuple(name for name in manifest.optional_attributes if name != "normals")
     manifest = replace(manifest, optional_attributes=optional)
     if tier != "light" or manifest.view_count == 0:

@@ -11,8 +11,9 @@ from fourd.baking.packed.members import ColourRounding
 
 @dataclass(frozen=True)
 class Precision:
-    """Quantisation steps and thresholds of one level of a tier. The fields that are not listed here have the meaning
-    that they have in :class:`fourd.baking.files.encoding.CloudEncoding`.
+    """Quantisation steps and thresholds of one level. Each tier (quality of a packed scene) has several levels, see
+    :data:`LEVELS`. The fields that are not listed here have the meaning that they have in
+    :class:`fourd.baking.files.encoding.CloudEncoding`.
 
     Attributes:
         positions_per_radius: number of quantisation steps of the positions within the median radius of the points.
@@ -76,7 +77,7 @@ LEVELS: dict[Tier, tuple[Precision, ...]] = {
         Precision(6, 8, 7, 1 / 4, min_visibility=0.3),
     ),
 }
-"""Levels of each tier, from the finest to the coarsest."""
+"""For each tier (quality of a packed scene), its levels of precision, from the finest to the coarsest."""
 
 DEFAULT_LEVELS: dict[Tier, int] = {"full": 1, "stream": 2, "video": 1, "light": 1}
 """Index of the level that each tier uses if no data rate is given."""

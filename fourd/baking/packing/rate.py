@@ -48,14 +48,16 @@ class Choice:
 
 
 LIGHT_FROM = 3
-"""Index of the finest level of "light" that can be chosen for a connection. Finer levels are not needed, because levels
-of "stream" have a similar size and quality."""
+"""Index of the finest level of the tier "light" that can be chosen for a connection. Finer levels of "light" are not
+needed, because some levels of the tier "stream" have about the same size and quality as they do."""
 CANDIDATES: tuple[tuple[Tier, int], ...] = (
     *(("full", level) for level in range(len(LEVELS["full"]))),
     *(("stream", level) for level in range(len(LEVELS["stream"]))),
     *(("light", level) for level in range(LIGHT_FROM, len(LEVELS["light"]))),
 )
-"""Tiers and levels, from the best quality to the smallest size."""
+"""Pairs of a tier and the index of one of its levels, from the largest files with the best quality to the smallest
+files with the lowest quality. :func:`choose_tier` chooses the first pair whose data rate is low enough for the
+connection."""
 
 
 def choose_tier(

@@ -27,7 +27,8 @@ CONTENTS = {
 
 @dataclass(frozen=True)
 class PackSettings:
-    """The tier of a packed scene, or the data rate of a connection in megabits per second.
+    """The tier (quality) of a packed scene, or the data rate of the connection for which the tier is chosen, in
+    megabits per second.
 
     If ``max_mbps`` is given, the best tier for this rate is chosen, and ``tier`` is ignored.
     """
@@ -39,7 +40,8 @@ class PackSettings:
 def pack_and_report(
     source: Path, out: Path, settings: PackSettings, console: Console, name: Path | None = None
 ) -> None:
-    """Pack ``source`` as ``out``, and print the sizes of the parts. Raises UserError.
+    """Pack the scene ``source`` as ``out``, and print the sizes of its parts, such as the mean colours. Raises
+    UserError in the same cases as :func:`pack_scene` and :func:`choose_tier`.
 
     ``name`` is the file name in error messages; None stands for ``source``.
     """
@@ -52,7 +54,8 @@ def pack_and_report(
 
 
 def print_sizes(console: Console, report: PackReport) -> None:
-    """Print a table with the bytes per frame of each part."""
+    """Print a table with the kilobytes per frame of each part of a packed scene. The parts are described in
+    :data:`CONTENTS`."""
     table = Table(box=None, pad_edge=False)
     table.add_column("part")
     table.add_column("kB per frame", justify="right")

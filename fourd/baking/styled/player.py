@@ -24,7 +24,8 @@ from fourd.stylize.view import view_style
 
 @dataclass(eq=False)
 class _Picture:
-    """Data that is kept from one image for the next."""
+    """What :class:`StyledPlayer` keeps of its last image: the visible surface, the lines, the camera and the line
+    thickness. The surface and the lines are used to reduce the flicker of the next image."""
 
     surface: Surface
     lines: NDArray[np.uint32]

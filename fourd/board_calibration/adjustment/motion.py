@@ -57,9 +57,9 @@ def _window(run: NDArray[np.intp], place: int) -> NDArray[np.intp]:
 
 
 def _derivative_weights(times: Array) -> Array:
-    """Return the finite-difference weights for values at ``times``.
+    """Return the finite-difference weights of values at ``times`` for the first derivative at time 0.
 
-    The weighted sum of the values is the derivative at time 0 of the polynomial through the values.
+    The weighted sum of the values is the derivative, at time 0, of the polynomial through the values.
     """
     powers = times[None] ** np.arange(len(times))[:, None]
     wanted = np.zeros(len(times))

@@ -20,7 +20,7 @@ from fourd.board_calibration.adjustment.rig import BOARD_PARAMETERS, Corners, Pr
 Array = NDArray[np.float64]
 
 SHARED = 7
-"""Number of shared error components of a view: rotation (3), shift (3), delay (1)."""
+"""Number of error components that all corners of a view share: rotation (3), shift (3), delay (1)."""
 TURN, SHIFT, JITTER = slice(0, 3), slice(3, 6), slice(6, 7)
 HUBER_VIEW = 0.7
 """A view has full weight if the root mean square of its shared errors, in standard deviations, is at most this value.
@@ -33,10 +33,11 @@ MIN_CORNER_PX = 0.01
 
 @dataclass(frozen=True, eq=False)
 class ViewNoise:
-    """Standard deviations of the errors of corners.
+    """Standard deviations of the errors of corners: the independent error of each corner, and the rotation, shift and
+    delay of the board that all corners of a view share.
 
     Attributes:
-        corner_px: (C,) standard deviation, in pixels, of the independent errors in each camera, along each axis.
+        corner_px: (C,) standard deviation, in pixels, of the independent errors of each camera's corners along x and y.
         turn: standard deviation of the shared rotation about each axis through the middle of the board, in radians.
         shift_m: standard deviation of the shared shift along each axis, in metres.
         jitter: standard deviation of the shared delay, in frames.

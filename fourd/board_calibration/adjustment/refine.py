@@ -48,9 +48,10 @@ class Solution:
 
 
 def refine_rig(start: RigState, corners: Corners, frames: Sequence[int], free: Free, corner_px: Array) -> Solution:
-    """Adjust a rig in rounds.
+    """Adjust the cameras of a rig and the positions of the board to observed corners, in several rounds.
 
-    Each round re-estimates the motion of the board and the standard deviations of the errors.
+    Each round recomputes the motion of the board, adjusts the rig, and then re-estimates the standard deviations of the
+    errors. After the rounds, the rig is adjusted once more.
 
     Args:
         start: a rig whose reprojection errors are at most a few pixels.

@@ -87,8 +87,8 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """The time at which each camera sees each row of its images, and the board's motion, from which the board's pose at
-    this time is computed.
+    """The time at which each camera sees each row of its images. The object also stores the board's motion, from which
+    the board's pose at this time is computed.
 
     A corner at the phase q of the readout is seen at the time ``f + delay + q * readout`` in frames, where f is the
     frame number. The phase is -0.5 at one edge of the sensor, 0 in its middle and 0.5 at the opposite edge.
@@ -261,7 +261,8 @@ def _apply_lenses(cameras: Sequence[Camera], camera: NDArray[np.intp], in_camera
 
 
 def reprojection_errors(state: RigState, corners: Corners) -> Array:
-    """Return the distances (N,) in pixels between projections and observations; infinite behind the camera."""
+    """Return the distances (N,), in pixels, between the projected and the observed corners. The distance of a corner
+    behind its camera is infinite."""
     found = project(state, corners)
     return np.where(found.depth > MIN_DEPTH, np.linalg.norm(found.pixels - corners.pixels, axis=1), np.inf)
 

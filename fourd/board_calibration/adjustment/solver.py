@@ -63,7 +63,7 @@ class Errors:
     """Model of the corners' errors.
 
     Attributes:
-        noise: standard deviations.
+        noise: standard deviations of the errors.
         huber_px: (C,) scale of the Huber loss in pixels.
     """
 
@@ -115,7 +115,8 @@ def solve_rig(
 
 
 def move(state: RigState, free: Free, shared: Array, boards: Array) -> RigState:
-    """Apply the steps (P,) of the cameras and the board's shape, and the steps (F, 6) of the board's positions."""
+    """Apply one step of the solver to a rig. ``shared`` (P,) contains the changes of the cameras and the board's shape.
+    ``boards`` (F, 6) contains the changes of the board's positions."""
     count = len(state.cameras) * PARAMETERS
     cameras = shared[:count].reshape(-1, PARAMETERS)
     turns = np.stack([cv2.Rodrigues(step[:3])[0] for step in boards]) if len(boards) else np.zeros((0, 3, 3))

@@ -146,7 +146,8 @@ def squared_error(
 
 
 def _eliminate(padded: Array, std: Array, weight: Array) -> Array:
-    """Return one Gram matrix (Q, Q) per view, as an array (V, Q, Q), without the shared errors.
+    """Return the Gram matrix of each view's Jacobian and residuals, after elimination of the errors that all corners of
+    the view share. The result is an array (V, Q, Q).
 
     ``padded`` has Q + 7 columns. The last seven belong to the shared errors and are eliminated with a Schur complement.
     """

@@ -84,7 +84,7 @@ class Agreement:
 
 
 def match_capture(path: Path | str, track: Track | None = None) -> CaptureMatches:
-    """Match the cameras of a capture.
+    """Find corresponding points between the images of a capture's cameras.
 
     For up to 5 cameras, 3 frames are matched; for more cameras, only the middle frame.
 

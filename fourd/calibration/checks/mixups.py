@@ -19,10 +19,11 @@ from fourd.cameras import Camera
 
 MIN_MATCHES = 16
 MIN_SHARE = 0.6
-"""A hypothesis is accepted only if, after the correction, at least this fraction of matches has small residuals."""
+"""A hypothesis (that two calibrations are exchanged, or that a camera's images are upside down) is accepted only if,
+after the correction, at least this fraction of the matches has small residuals."""
 MAX_SHARE_RATIO = 0.6
 """A hypothesis is accepted only if the fraction of matches with small residuals before the correction is at most this
-multiple of the fraction after it."""
+multiple of the fraction after the correction."""
 MAX_MIXUPS = 4
 MAX_SUSPECTS = 8
 

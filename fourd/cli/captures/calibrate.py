@@ -63,7 +63,7 @@ class Arguments:
     ] = field(default=())
     print_board: Annotated[Path | None, option("FILE.pdf", "none", PRINT_HELP)] = None
     page: str = "A4"
-    """Page of --print-board: A4, A3, A2, letter, or WIDTHxHEIGHT in millimetres."""
+    """Page size for --print-board: A4, A3, A2, letter, or WIDTHxHEIGHT in millimetres."""
 
 
 def run(arguments: Arguments) -> None:

@@ -237,7 +237,8 @@ def describe_video_in_child(name: str) -> Rows:
 
 
 def _turned_size(path: Path) -> str:
-    """Describe the size of a video's upright frames and the conversions that fourd applies to them."""
+    """Describe the frames of a video: their size when upright, the angle by which fourd turns them upright, and the HDR
+    transfer function, if any."""
     from fourd.capture.video import first_frame
 
     width, height, turn, transfer = first_frame(path)

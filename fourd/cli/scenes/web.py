@@ -69,8 +69,9 @@ def run(arguments: Arguments) -> None:
 
 
 def _choose(scene: Path, max_mbps: float, track: Track) -> Choice:
-    """Choose how to encode an unpacked scene: the tier, and the level (set of quantisation steps). The choice is the
-    best quality that a web page can play without pauses over a connection of ``max_mbps`` Mbit/s."""
+    """Choose how to encode an unpacked scene: the tier (option --tier: how colours are stored and how coarsely
+    values are quantised) and, within the tier, the level (set of quantisation steps). The choice is the best quality
+    that a web page can play without pauses over a connection of ``max_mbps`` Mbit/s."""
     reader = SceneReader(scene)
     is_packed = reader.manifest.encoding is not None
     reader.close()

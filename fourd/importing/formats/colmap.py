@@ -70,12 +70,12 @@ class _Photo:
 
 
 def looks_like(source: Path) -> bool:
-    """Return whether ``source``, or its subfolder sparse/ or sparse/0/, contains a model."""
+    """Return whether ``source``, or its subfolder sparse/ or sparse/0/, contains a COLMAP model."""
     return _find_model(source) is not None
 
 
 def read(source: Path) -> Imported:
-    """Read the cameras of ``source``, a folder with the model and the videos or images.
+    """Read the cameras of ``source``, a folder with a COLMAP model and with the cameras' videos or images.
 
     Lengths are in the unit of the COLMAP model.
 

@@ -36,7 +36,8 @@ MAX_MEMBERS = 1_000_000
 
 
 class Hdf5File:
-    """An HDF5 file. The child process starts with the first call, and ends when this object is deleted.
+    """An HDF5 file that is read in a child process. The process starts when a method is called for the first time, and
+    ends when this object is deleted.
 
     All methods raise UserError if the file is damaged or refers to other files. The message names file and group.
     """
@@ -86,7 +87,7 @@ class Hdf5File:
 
     @contextmanager
     def _checked(self, name: str) -> Iterator[None]:
-        """Raise UserError if the block fails to convert a reply of the child process."""
+        """Raise UserError if the ``with`` block fails to convert a reply of the child process."""
         try:
             yield
         except (KeyError, TypeError, ValueError, OverflowError) as error:

@@ -47,7 +47,8 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Read the cameras of ``source``. Row i of the array belongs to video i, in the order of the videos' names.
+    """Read the cameras of ``source``. Row i of the array in poses_bounds.npy belongs to video
+    i, in the order of the videos' names.
 
     Raises:
         UserError: when the file does not contain an array of N x 17 numbers, or the numbers of videos and rows differ.

@@ -24,7 +24,8 @@ MAX_CELLS = 112
 million voxels."""
 CELLS_PER_PIXEL = 1.0
 OUTLIER_SHARE = 0.05
-"""The score of a voxel stays valid if at most this fraction of the views is wrong about the voxel."""
+"""Maximum fraction of the views that may be wrong about a voxel: the voxel's score ignores its lowest log-odds in this
+fraction of the views."""
 MIN_SEEING_SHARE = 0.75
 """A voxel gets a score only if it is inside the images of at least this fraction of the views."""
 REJECT_LOG_ODDS = np.float32(-2.0)
@@ -41,7 +42,7 @@ class VoxelGrid:
     Attributes:
         xyz: (N, 3) voxel centres in world units.
         size: side of a voxel in world units.
-        cameras: the C cameras that provide the evidence.
+        cameras: the C cameras from whose log-odds the voxels' scores are computed.
         pixels: (C, N) int32 flat pixel index, row * width + column, of each voxel centre in each camera, or -1 if the
             voxel centre is outside the image.
         width_px: (C,) width of a voxel's projection in each camera, rounded to an odd number of pixels.
@@ -60,7 +61,7 @@ class VoxelGrid:
         Args:
             lower: (3,) minimum corner of the box in world units.
             upper: (3,) maximum corner of the box in world units.
-            cameras: cameras that provide the evidence.
+            cameras: cameras from whose log-odds the voxels' scores are computed.
             count: number of voxels along the box's longest side, or None to match the images' resolution.
         """
         side = float((upper - lower).max())
@@ -117,7 +118,8 @@ class VoxelGrid:
         """Project the ``chosen`` voxels into camera ``index``. Each pixel gets the largest of the ``values`` of the
         voxels that project onto it.
 
-        Returns an array (h, w). Pixels onto which no voxel projects have the value NO_CELL_LOG_ODDS.
+        Returns an array (h, w). A morphological closing fills small gaps between the projected voxel centres. All other
+        pixels onto which no voxel projects have the value NO_CELL_LOG_ODDS.
         """
         camera = self.cameras[index]
         flat = np.full(camera.width * camera.height, NO_CELL_LOG_ODDS, np.float32)
@@ -148,7 +150,7 @@ class Scores:
     def from_evidence(grid: VoxelGrid, alive: NDArray[np.intp], values: Floats, outliers: int) -> Scores:
         """Compute scores as order statistics of the log-odds ``values`` (C, n) over the C views.
 
-        The scores of voxels stay valid if up to ``outliers`` views are wrong.
+        Each voxel's ``outliers`` lowest log-odds are ignored, because up to ``outliers`` views may be wrong about it.
         """
         if len(values) == 1:
             return Scores(grid, alive, values[0], np.full_like(values, -NO_CELL_LOG_ODDS))

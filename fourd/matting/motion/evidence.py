@@ -31,17 +31,19 @@ HULL_THRESHOLD = np.float32(-1.5)
 log-odds that the voxel has in the other views. The threshold is below 0, because single views often give slightly
 negative log-odds on the subject."""
 HULL_RANGE = np.float32(4.0)
-"""The evidence of the hull grows with the score of a voxel, from 0 at HULL_THRESHOLD to its maximum at HULL_THRESHOLD +
-HULL_RANGE."""
+"""At pixels inside the other views' hull, log-odds in favour of the subject are added. They grow with the
+largest score of the voxels that project onto the pixel, from 0 at the score HULL_THRESHOLD to their maximum at the
+score HULL_THRESHOLD + HULL_RANGE."""
 CONFIDENT_LOG_ODDS = np.float32(4.0)
 MAX_INSIDE_HULL_LOG_ODDS = 2.5
-"""Upper limit, in log-odds, of the evidence of the hull."""
+"""Upper limit of the log-odds that are added at pixels inside the other views' hull onto which no reliable voxel
+projects."""
 RELIABLE_SCORE = np.float32(4.0)
 """Voxels with a score above this value are reliable: even the view with the lowest log-odds shows the subject at the
 voxel."""
 RELIABLE_RANGE = np.float32(2.0)
 MAX_RELIABLE_LOG_ODDS = 6.0
-"""Upper limit, in log-odds, of the evidence of reliable voxels.
+"""Upper limit of the log-odds that are added at pixels onto which a reliable voxel projects.
 
 The limit is large enough to decide pixels whose colour occurs both on the subject and in the background.
 """

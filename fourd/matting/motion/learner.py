@@ -25,9 +25,9 @@ SURROUND_PX = 20
 """Width in pixels of the band around the subject whose colours represent the background."""
 MIN_WEIGHT = np.float32(0.04)
 COLOUR_MARGIN = np.float32(1.0)
-"""Margin of the log-odds that a pixel's colour belongs to the subject. Two weights of the pixel are functions of these
-log-odds and become smaller as the log-odds become larger: :func:`_background_weight` is 0.5 at the log-odds
-COLOUR_MARGIN, and :func:`_background_confirmation` is 0.5 at the log-odds -COLOUR_MARGIN."""
+"""Two weights of a pixel decrease with the log-odds that its colour belongs to the subject. At log-odds of
+COLOUR_MARGIN, the weight :func:`_background_weight` is 0.5. At log-odds of -COLOUR_MARGIN, the weight
+:func:`_background_confirmation` is 0.5."""
 COLOUR_SLOPE = np.float32(2.0)
 MIN_BACKGROUND_WEIGHT = np.float32(0.02)
 CONFIRMED_FRAMES = 1.5

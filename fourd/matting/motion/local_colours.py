@@ -27,7 +27,7 @@ grid points with few such pixels nearby, the histogram of the whole image domina
 
 @dataclass(frozen=True, eq=False)
 class LocalColours:
-    """Local colour distributions over 8-bit RGB space.
+    """Local colours of an image: one histogram over 8-bit RGB space for each point of a coarse grid on the image.
 
     Attributes:
         log_density: (rows, columns, bins ** 3) float32 log densities at the grid points.

@@ -70,6 +70,8 @@ class LocalEvidence:
 
     def add(self, own: Floats, combined: Floats, rgb: Picture, subject: ColourHistogram) -> Floats:
         """Return the log-odds ``own`` plus the weighted local log-odds, for one frame's image ``rgb`` (h, w, 3).
+        The local log-odds of a pixel compare how frequent its colour is on the subject and on the background near the
+        pixel.
 
         ``own`` (h, w) are the log-odds from this camera only, and ``combined`` (h, w) also contain the evidence of the
         other views. Pixels where both are above SUBJECT_LOG_ODDS supply the subject's local colours. The histogram

@@ -26,8 +26,8 @@ grid is built. This limit keeps each vertex near its position in the undeformed 
 least 0.87 cube sides apart."""
 
 DEPTH_STEPS = 20
-"""Number of gradient steps after which the depth images of all views are rendered again. They determine which points
-are visible."""
+"""Number of gradient steps after which the depth images of all views are rendered again. The depth images determine
+which surface points each view sees."""
 
 NO_DEPTH = 1e9
 """Depth of pixels that show no surface."""
@@ -165,8 +165,8 @@ def _to_photo_view(view: MeshView) -> PhotoView:
 
 
 def _nearby_views(views: Sequence[MeshView], count: int, focus: NDArray[np.float32]) -> list[list[int]]:
-    """Return the indices of the ``count`` nearest other views of each view. The distance between two views is the angle
-    at ``focus`` (3,) between the directions to their cameras."""
+    """Return, for each view, the indices of the ``count`` other views that are nearest to it. The distance between two
+    views is the angle at ``focus`` (3,) between the directions to their cameras."""
     cameras = [view.camera for view in views]
     ordered = [nearest_views(camera, cameras, len(cameras), focus.astype(np.float64)) for camera in cameras]
     return [[other for other in order if other != index][:count] for index, order in enumerate(ordered)]

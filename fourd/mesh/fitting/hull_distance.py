@@ -24,9 +24,9 @@ BAND_CELLS = 2
 SMOOTHING_CELLS = 1.2
 """Standard deviation of the Gaussian in :class:`_RemovedParts`, in units of the cell size.
 
-The hull's excess parts, which are protrusions without which the hull still covers all mattes, are removed. The Gaussian
-smooths the occupancy of the hull with and without these parts. The difference is the fraction of a point's
-neighbourhood that was removed.
+Excess parts are protrusions that are removed from the hull; the remaining hull still covers all mattes. The Gaussian
+smooths the occupancy of the whole hull and the occupancy of the remaining hull. The difference between the two results
+at a point is the fraction of the point's neighbourhood that was removed.
 """
 
 DISTANCE_CELLS = 1.5

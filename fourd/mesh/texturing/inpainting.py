@@ -11,7 +11,7 @@ from scipy.sparse.linalg import spsolve
 Floats = NDArray[np.float32]
 
 GREY = 0.5
-"""Grey value of connected mesh parts that no view sees."""
+"""Grey value, in [0, 1], of the vertices of a connected component of the mesh if no view sees any of them."""
 
 
 def fill_vertices(rgb: Floats, known: NDArray[np.bool_], triangles: NDArray[np.integer]) -> Floats:
@@ -27,7 +27,7 @@ def fill_vertices(rgb: Floats, known: NDArray[np.bool_], triangles: NDArray[np.i
         triangles: (M, 3) vertex indices.
 
     Returns:
-        (N, 3) colours. Known colours are unchanged. Parts without a known colour become grey.
+        (N, 3) colours. Known colours are unchanged. Connected components without a known colour become grey.
     """
     count = len(rgb)
     if known.all():

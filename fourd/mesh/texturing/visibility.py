@@ -37,7 +37,8 @@ class Occluder:
 
     @staticmethod
     def of(xyz: Floats, triangles: NDArray[np.integer]) -> Occluder:
-        """Prepare a mesh with vertices (N, 3) and vertex indices (M, 3). M may be 0."""
+        """Build the bounding volume hierarchy of a mesh from its vertices ``xyz`` (N, 3) and its vertex indices
+        ``triangles`` (M, 3). M may be 0."""
         edges = xyz[triangles[:, 1]] - xyz[triangles[:, 0]]
         mean = float(np.linalg.norm(edges, axis=1).mean()) if len(edges) else 0.0
         indices = torch.from_numpy(np.ascontiguousarray(triangles, np.int32))

@@ -18,7 +18,8 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 def antialias(
     color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, boost: float, threads: int
 ) -> tuple[Tensor, Tensor]:
-    """Return the blended colours (B, H, W, C), and one code per pixel, (B, H, W) uint8, for the backward pass.
+    """Return the antialiased image (B, H, W, C), and an array (B, H, W) uint8 that contains one code per pixel. The
+    backward pass needs the codes.
 
     ``pos`` is (B, V, 4), or (V, 4) if all images have the same vertices. A pixel forms one pair with its right
     neighbour and one with its lower neighbour. For each of the two pairs, the pixel's code stores which silhouette edge

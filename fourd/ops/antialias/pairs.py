@@ -77,11 +77,11 @@ def find_pairs(rast: Tensor, triangles: int, axis: int) -> Pairs:
 
 
 def see(pairs: Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
-    """For each pair, return three clip coordinates (N, K, 3) of the vertices with indices (N, K): the coordinate along
-    the pair, the coordinate across it, and w.
+    """For each of N pairs, return three clip coordinates of K vertices, whose indices are ``vertices`` (N, K). The
+    result (N, K, 3) contains the coordinate along the pair's axis, the coordinate across this axis, and w.
 
-    The first two are relative to the centre of the pair's owner (the pixel whose triangle is nearer): both are 0 for a
-    vertex that projects to this centre.
+    The first two coordinates are relative to the centre of the pair's owner (the pixel whose triangle is nearer): both
+    are 0 for a vertex that projects to this centre.
     """
     x, y, w = clip[pairs.image[:, None], vertices].unbind(-1)
     along, across = (x, y) if pairs.axis == 0 else (y, x)

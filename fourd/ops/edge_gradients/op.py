@@ -19,7 +19,8 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 def edge_gradients(
     color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, gradient: Tensor, threads: int
 ) -> Tensor:
-    """Compute the part of the gradient of ``pos`` that comes from moving visibility edges. It has the shape of ``pos``.
+    """Compute the part of the gradient of ``pos`` that arises because visibility edges move with the vertices. The
+    result has the shape of ``pos``. A visibility edge separates two neighbouring pixels that show different triangles.
 
     ``pos`` is (B, V, 4), or (V, 4) if all images have the same vertices. ``gradient`` (B, H, W, C) is the gradient of
     the loss with respect to the image. The operator itself is not differentiable.
@@ -49,8 +50,8 @@ def _(
 
 
 def add_edge_gradients(color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, threads: int) -> Tensor:
-    """Return ``color`` unchanged, with a backward pass that adds the gradients of moving visibility edges. See
-    :func:`fourd.raster.triangles.edge_gradients`."""
+    """Return ``color`` unchanged. The backward pass adds the result of :func:`edge_gradients` to the gradient of
+    ``pos``. :func:`fourd.raster.triangles.edge_gradients` documents the arguments."""
     return _MovingEdges.apply(color, rast, pos, tri, opposite, threads)
 
 

@@ -57,7 +57,7 @@ def interpolate_attributes_backward(
     threads: int,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Compute the gradients of ``attr``, ``rast`` and ``rast_db``. The three bools ``needed`` select the gradients to
-    compute. The others are empty tensors."""
+    compute. The other gradients are empty tensors."""
     gradients = _empty_gradients(attr, rast, needed)
     targets = [gradient if is_needed else None for gradient, is_needed in zip(gradients, needed, strict=True)]
     if uses_gpu_kernels(attr):

@@ -15,11 +15,12 @@ NO_TRIANGLE = -1
 _EXACT_IDS = 2**24
 _ID_BITS = 0x4A800000
 MAX_TRIANGLES = 0x7F800000 - _ID_BITS - 1
-"""Maximum number of triangles. The pixel values of larger ids would be infinite or NaN."""
+"""Maximum number of triangles. With more triangles, some pixel values that encode ids would be infinite or NaN."""
 
 
 def encode_ids(triangle: Tensor) -> Tensor:
-    """Return the float32 pixel values for integer triangle indices of any shape, where -1 is the background.
+    """Encode triangle indices, given as an integer tensor of any shape, as float32 pixel values. The index -1 is the
+    background.
 
     The function is not differentiable.
     """
@@ -28,7 +29,7 @@ def encode_ids(triangle: Tensor) -> Tensor:
 
 
 def decode_ids(value: Tensor) -> Tensor:
-    """Return the int32 triangle indices for float32 or float64 pixel values of any shape.
+    """Decode float32 or float64 pixel values, given as a tensor of any shape, to int32 triangle indices.
 
     The index is -1 where the value is 0, negative or NaN. The function is not differentiable.
     """

@@ -170,8 +170,8 @@ class PointSorter:
         *,
         threads: int = 0,
     ) -> NDArray[np.uint32]:
-        """Return the indices of the points in the image of ``camera``, sorted by depth, nearest first. Points of equal
-        depth are sorted by index.
+        """Select the points that lie in the image of ``camera``, and return their indices, sorted by depth, nearest
+        first. Points of equal depth are sorted by index.
 
         Occluded points are included. Points that :func:`fourd.raster.render_points` does not draw are omitted: points
         nearer than ``near``, points outside the image, points whose radius or density is not positive, and points whose

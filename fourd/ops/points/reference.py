@@ -91,8 +91,8 @@ def _project(xyz: Tensor, radius: Tensor, density: Tensor, camera: Camera) -> Sp
 
 
 def _alpha(splats: Splats, pixels: Tensor) -> Tensor:
-    """Return the unclamped density * (1 - distance_px^2 / radius_px^2), where distance_px is the distance from the
-    pixel to the splat's centre.
+    """Return density * (1 - distance_px^2 / radius_px^2), where distance_px is the distance from the pixel to the
+    splat's centre. The result is negative outside the splat.
 
     The arrays of ``splats`` have the shape (P, K), or (1, M) to evaluate all M splats at every pixel. ``pixels`` (P, 2)
     are the pixel centres.

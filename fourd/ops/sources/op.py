@@ -111,7 +111,8 @@ def _sample_backward(
     gradient: Tensor,
     needs_features: bool,
 ) -> tuple[Tensor, Tensor]:
-    """Compute the gradients of ``xyz`` and ``features``. The second is empty if ``needs_features`` is False."""
+    """Compute the gradients of ``xyz`` and ``features``. The gradient of ``features`` is empty if
+    ``needs_features`` is False."""
     grad_xyz, grad_features = _empty_gradients(xyz, features, needs_features)
     feature_rows = _channels_last(grad_features) if needs_features else None
     if uses_gpu_kernels(xyz):

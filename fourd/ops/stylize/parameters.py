@@ -44,17 +44,18 @@ from numpy.typing import NDArray
 from fourd.ops.aligned import zeros_aligned
 
 TONES = 256
-"""Number of columns of a shade table."""
+"""Number of columns of a shade table, which contains colours S(t, d). Columns are tones t, and rows are details d."""
 MAX_ROWS = 64
 """Maximum number of rows of a shade table."""
 GAP = 3
-"""A pixel in a gap is filled if the surfaces on both sides are at most this number of pixels away."""
+"""Gaps between points, through which a farther surface is visible, are filled. A pixel is in a gap if nearer surfaces
+lie on both sides of it, in its row or in its column, at most this number of pixels away."""
 MAX_THICKNESS = 8
 """Maximum number of pixels between the taps of a line filter."""
 
 SAME_TAPS = 0.03
-"""A surface is at rest if the sum of the inverse depths at the line filter's taps changes by at most this fraction
-between two images."""
+"""Lines fade in only at pixels where the surface is at rest. The surface is at rest if the sum of the inverse depths at
+the line filter's taps changes by at most this fraction from the previous image to the new one."""
 
 BACK_WEIGHT = 0.1
 """A visible surface's depth and normal are weighted means over points. Points whose normals face away from the camera
@@ -74,7 +75,8 @@ def speck_reach(thickness: int) -> int:
 
 
 LEAST_STRENGTH = 32
-"""Minimum strength, on a scale from 0 to 255. The search for specks ignores weaker lines on a square's sides."""
+"""Strength, on a scale from 0 to 255, below which the search for specks ignores lines on the sides of the squares
+around a pixel (see :func:`speck_reach`)."""
 
 
 Detail = Literal["facing", "depth", "focus"]

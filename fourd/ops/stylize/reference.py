@@ -27,7 +27,8 @@ Image = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Stylized:
-    """A stylized image: ``rgba`` (H, W, 4) uint8, and ``line_state`` (H, W) uint32 for the next image."""
+    """A stylized image ``rgba`` (H, W, 4) uint8, and its ``line_state`` (H, W) uint32. The line state contains the line
+    strengths and the inverse depths of this image. The lines of the next image depend on it."""
 
     rgba: NDArray[np.uint8]
     line_state: NDArray[np.uint32]
@@ -110,7 +111,7 @@ def front_weight(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def fill_gaps(surface: Surface) -> Surface:
-    """Fill the gaps through which farther surfaces are visible."""
+    """Fill the gaps between points, through which farther surfaces are visible."""
     depth, normal, shift = surface.inverse_depth, surface.normal, _Shift(1)
     filled_depth, filled_normal = depth.copy(), normal.copy()
     for down, right in ((0, 1), (1, 0)):
@@ -159,7 +160,8 @@ def _seen_bits(surface: Surface, thickness: int) -> NDArray[np.uint32]:
 
 
 def _fresh_lines(surface: Surface, parameters: StyleParameters, scale: Image) -> Image:
-    """Return the line strengths of this image before fading in. The thresholds are multiplied by ``scale``."""
+    """Return the strengths (H, W) of the lines that the line filter finds on ``surface``, before lines fade in. The
+    filter's thresholds are multiplied by ``scale`` (H, W)."""
     numbers, depth, coverage = parameters.numbers, surface.inverse_depth, surface.coverage
     normal = surface.unit_normal * coverage[..., None]
     shift = _Shift(parameters.thickness)

@@ -22,8 +22,8 @@ def face_axes(like: Tensor) -> Tensor:
 
 
 def face_of(direction: Tensor) -> Tensor:
-    """Return the index of the face that a ray from the cube's centre in each direction meets. The last axis of
-    ``direction`` has the three coordinates, and the result lacks this axis.
+    """For rays from the cube's centre with the given directions, return the index of the face that each ray meets. The
+    last axis of ``direction`` has the three coordinates, and the result lacks this axis.
 
     A ray through an edge or a corner of the cube meets several faces. The x face has priority over the y face, and the
     y face over the z face.
@@ -36,11 +36,11 @@ def face_of(direction: Tensor) -> Tensor:
 
 
 def project(direction: Tensor, face: Tensor) -> Tensor:
-    """Return the positions, with coordinates in [0, 1], where rays from the cube's centre meet their faces.
+    """For rays from the cube's centre with the given directions, return the position at which each ray meets its face.
+    ``face`` is the result of :func:`face_of`. Coordinates on a face are in [0, 1].
 
-    The last axis of ``direction`` has three coordinates, and the last axis of the result has two.
-
-    The positions are differentiable in the directions.
+    The last axis of ``direction`` has three coordinates, and the last axis of the result has two. The positions are
+    differentiable in the directions.
     """
     axes = face_axes(direction)[face]
     a, b, m = (axes @ direction[..., None])[..., 0].unbind(-1)

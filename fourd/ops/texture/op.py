@@ -54,7 +54,8 @@ def sample_texture(
     is_chain: bool,
     threads: int,
 ) -> Tensor:
-    """Sample a texture. :func:`fourd.raster.triangles.texture` documents and checks the other arguments.
+    """Sample a texture at the positions ``uv``. :func:`fourd.raster.triangles.texture` checks the arguments, and
+    documents those that are not listed below.
 
     Args:
         mips: levels 1 and up.

@@ -40,7 +40,8 @@ def unpack_harmonics(
     points: int,
     out: NDArray[np.float16] | None = None,
 ) -> NDArray[np.float16]:
-    """Return ``mean + factors @ basis`` (N, 48), rounded to float16.
+    """Decode spherical harmonics coefficients (N, 48): ``mean + factors @ basis``, rounded to float16, with the factors
+    (N, K) from ``content``.
 
     Args:
         content: (2 * K * N,) zigzag-coded factors, which are the weights of the basis vectors, as low bytes (K, N)

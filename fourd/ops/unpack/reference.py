@@ -24,7 +24,8 @@ def unpack_positions_reference(
 def unpack_harmonics_reference(
     content: NDArray[np.uint8], basis: NDArray[np.float32], mean: NDArray[np.float32], points: int
 ) -> NDArray[np.float16]:
-    """Return ``mean + factors @ basis`` (N, 48), rounded to float16."""
+    """Decode spherical harmonics coefficients (N, 48): ``mean + factors @ basis``, rounded to float16, with the factors
+    (N, K) from ``content``."""
     low, high = content.reshape(2, len(basis), points).astype(np.int64)
     codes = low + 256 * high
     factors = np.where(codes % 2 == 0, codes // 2, -(codes + 1) // 2)

@@ -29,10 +29,11 @@ from fourd.training.run import RunConfig
 from fourd.training.run_layout import SCRATCH
 
 CACHE_VARIABLE = "FOURD_CACHE"
-"""Environment variable with the folder of local copies on this machine."""
+"""Environment variable with the path of the folder in which this machine keeps its local copies of folders for
+intermediate results. If it is not set, the user's cache folder is used."""
 OWN = ".stored"
-"""Folder with the records of the local copy: manifests of the stages whose files were copied or published, and marks
-(files) of started stages."""
+"""Folder with the records of the local copy: a manifest for each stage whose files were copied or published, and a mark
+(see :class:`Started`) for each stage that was started and has not published its results."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,8 @@ def cache_folder(url: StorageUrl) -> Path:
 
 @dataclass(frozen=True)
 class Cache:
-    """The local copy in the folder ``root``. Several processes can share the folder, because they copy and remove files
-    only inside :meth:`locked`."""
+    """The local copy, in the folder ``root``, of a folder for intermediate results in an object store. Several
+    processes can share the local copy, because they copy and remove files only inside :meth:`locked`."""
 
     root: Path
 
@@ -93,7 +94,7 @@ class Cache:
         self._mark(manifest.name).unlink(missing_ok=True)
 
     def forget(self, name: str) -> None:
-        """Remove the record of a manifest, but keep the files."""
+        """Remove the local manifest ``name``, but keep the files that it lists."""
         self._copy(name).unlink(missing_ok=True)
 
     def own_paths(self, name: str, folders: Sequence[Path]) -> set[str]:

@@ -30,7 +30,8 @@ States = Mapping[str, str]
 
 @dataclass(frozen=True)
 class Unfinished:
-    """The uploads of one stage that writes checkpoints.
+    """Uploads the files of one stage while it runs, and copies the last upload to the machine that continues the stage.
+    Used only for stages that write checkpoints.
 
     Attributes:
         store: the folder for intermediate results.

@@ -103,8 +103,8 @@ def fetch_source(source: FetchSettings, root: Path, track: Track) -> Path:
 
 
 def moved(value: Any, old: Path, new: Path) -> Any:
-    """Return a copy of ``value`` in which paths in the folder ``old`` are moved to the folder ``new``, also inside
-    dataclasses and tuples."""
+    """Return a copy of ``value`` in which each path inside the folder ``old`` is replaced by the same path inside the
+    folder ``new``. Paths in dataclasses and tuples are replaced too. No file is moved."""
     if isinstance(value, Path):
         return new / value.relative_to(old) if value.is_relative_to(old) else value
     if isinstance(value, tuple):

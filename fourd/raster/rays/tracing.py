@@ -38,8 +38,8 @@ class Hits:
         return self.triangle >= 0
 
     def last(self) -> tuple[Tensor, Tensor]:
-        """Return t (R,) and triangle (R,) of the last layer, to pass as the argument ``after`` of :func:`trace`. For
-        rays with fewer than K hits, that call finds no further hits."""
+        """Return the t and the triangle index of each ray's K-th hit, as two tensors (R,). Pass them to :func:`trace`
+        as ``after`` to find the next hits of each ray. For rays with fewer than K hits, it finds no further hits."""
         return self.t[:, -1].detach(), self.triangle[:, -1]
 
 
@@ -175,7 +175,8 @@ def _check_rays(
 def _check_trace(
     bvh: Bvh, xyz: Tensor, origins: Tensor, layers: int, after: tuple[Tensor, Tensor] | None
 ) -> tuple[Tensor | None, Tensor | None]:
-    """Check the arguments that only :func:`trace` has. Return t and triangle of ``after``, or None and None."""
+    """Check the arguments that only :func:`trace` has. Return the two tensors of ``after``, which are t and the
+    triangle index of one hit per ray, or (None, None) if ``after`` is None."""
     like = ("origins", origins)
     check_tensor("xyz", xyz, ("V", 3), like=like)
     bvh.require_positions(xyz)

@@ -24,7 +24,8 @@ def interpolate(
     backend: str = "auto",
     threads: int = 0,
 ) -> tuple[Tensor, Tensor]:
-    """Interpolate vertex attributes at the pixels of :func:`fourd.raster.triangles.rasterize`.
+    """Interpolate vertex attributes at each pixel of the images ``rast`` that
+    :func:`fourd.raster.triangles.rasterize` has returned.
 
     The value at a pixel is ``u * a_0 + v * a_1 + (1 - u - v) * a_2``, where a_k are the attributes of the vertices of
     the pixel's triangle.
@@ -69,7 +70,7 @@ def interpolate(
 
 
 def _check_attributes(attr: object) -> Tensor:
-    """Check the attributes, and return them as (B or 1, V, C)."""
+    """Check the attributes, and return them as a tensor (B, V, C), or (1, V, C) if all images share them."""
     is_shared = isinstance(attr, Tensor) and attr.ndim == 2
     shape = ("V", "C") if is_shared else ("B", "V", "C")
     attributes = check_tensor("attr", attr, shape, dtypes=(torch.float32, torch.float64))

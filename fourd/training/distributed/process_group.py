@@ -68,8 +68,9 @@ class ProcessGroup:
 
     @property
     def rate_factor(self) -> float:
-        """Factor that multiplies the learning rates of dense parameters. With several ranks, the views of all ranks
-        together give only one update, and the factor compensates for the smaller number of updates."""
+        """Factor that multiplies the learning rates of dense parameters. With several ranks, one update uses a view of
+        each rank, so training performs fewer updates than a single process would with the same number of views. The
+        factor compensates for this."""
         return self.size**RATE_EXPONENT
 
     @torch.no_grad()

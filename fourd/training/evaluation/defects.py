@@ -24,7 +24,8 @@ in [0, 1]."""
 SPECK_AREA_PX = 4
 """Maximum area of a speck in pixels. Larger regions of wrong pixels are not specks."""
 MIN_SPECK_NEIGHBOURS = 5
-"""A pixel of a speck is marked only if at least this number of its eight neighbours are correct."""
+"""The mask of :func:`speck_pixels` contains a pixel of a speck only if, for at least this number of its eight
+neighbours, the error does not exceed SPECK_ERROR."""
 
 Image = NDArray[np.float32]
 

@@ -73,7 +73,7 @@ class ControlReader:
         return request if request.session == self._session else None
 
     def _version(self) -> tuple[int, int, int] | None:
-        """Return values that change when the file is replaced, or None if there is no file."""
+        """Return values that change when the control file is replaced, or None if there is no control file."""
         try:
             status = os.stat(self._path)
         except OSError:

@@ -11,7 +11,8 @@ from fourd.training.losses.term import RenderedStep
 
 @dataclass(frozen=True)
 class ResidualTerm:
-    """Mean of the squared components of the learnt displacements, in point spacings."""
+    """Mean of the squared components of the displacements that the residual field adds to the positions of the visible
+    points. The displacements are in units of the point spacing."""
 
     weight: float
     spacing: float

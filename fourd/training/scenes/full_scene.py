@@ -166,8 +166,9 @@ class FullScene:
 
 
 def place_window(camera: Camera, side_px: int, position: tuple[float, ...]) -> tuple[int, int, int, int]:
-    """Return (left, top, width, height) of a square window in the image. The window's sides are clipped to the image
-    size.
+    """Place a window in the image, and return it as (left, top, width, height). The window is a square of side
+    ``side_px``. If the image is narrower than that, the window has the image's width instead; the same applies to the
+    height.
 
     ``position`` (x, y) in [0, 1) is the window's centre as a fraction of the image size. A window that extends beyond
     the image is shifted into it. As a result, many windows contain an image corner, whereas almost none would if

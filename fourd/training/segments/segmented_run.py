@@ -53,7 +53,7 @@ class SegmentedRun:
     """
 
     def __init__(self, run: Run) -> None:
-        """Raises UserError if a segment was not trained."""
+        """Check that each segment has a checkpoint. Raises UserError for a segment that was not trained."""
         assert run.config.train.segments.frames is not None, "expected a run with segments"
         self.run = run
         self.plan = SegmentPlan.divide(run.capture.frame_count, run.config.train.segments)

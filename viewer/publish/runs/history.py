@@ -37,7 +37,8 @@ class Series:
 
 
 class RunHistory:
-    """The series of a run's log, which grows during training. When the run is resumed, a shorter log may replace it.
+    """The measurements in the log of a training run, as one series per measurement. The log grows during training. When
+    the run is resumed, training may replace the log with a shorter one.
 
     Attributes:
         series: the values by name. Values that are not finite numbers are left out.
@@ -92,7 +93,7 @@ class RunHistory:
 
     @property
     def step(self) -> int:
-        """The largest step of all records, or 0."""
+        """The largest training step in the log, or 0 if the log has no measurements."""
         return max((found.steps[-1] for found in self.series.values() if found.steps), default=0)
 
     def curves(self) -> dict[str, dict[str, list[float]]]:
@@ -124,7 +125,8 @@ class RunHistory:
 
 
 def _numbers(record: Mapping[str, Any]) -> dict[str, float]:
-    """Return the finite numbers of a record, without the step."""
+    """Return the finite numbers of a record (one line of the log) by name. The step, and numbers whose name has more
+    than MAX_NAME characters, are left out."""
     return {
         name: float(value)
         for name, value in record.items()

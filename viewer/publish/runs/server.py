@@ -21,7 +21,7 @@ _JSON = "application/json"
 
 
 class RunHandler(SiteHandler):
-    """Answers the requests that the page of a run sends."""
+    """Answers the requests of a web page that shows and controls a training run."""
 
     server: RunServer
 
@@ -129,7 +129,7 @@ class RunHandler(SiteHandler):
 
 
 class RunServer(SiteServer):
-    """Serves the page of a run.
+    """Serves a web page that shows and controls a training run.
 
     Args:
         folder: the folder of the site.

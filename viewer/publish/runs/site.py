@@ -126,7 +126,7 @@ class RunSite:
         return _to_json({"state": state, "step": max(steps, default=-1), "message": error})
 
     def control(self, session: str, action: str) -> None:
-        """Send a request to the training.
+        """Request an action, such as "pause" or "stop", from the training process.
 
         Args:
             session: id of the training session for which the request was made. A resumed run has a new session.

@@ -18,8 +18,9 @@ _DIGITS = 12
 """Maximum number of digits of the step in the file name of a validation image."""
 
 ShownPhase = Phase | Literal["ended", "idle"]
-"""The phase of a run. ``ended`` means that the training process was killed before it wrote its last state. ``idle``
-means that the run has no state."""
+"""The phase of a run. ``ended`` means that no process trains the run, although the phase in its state file is still
+"training" or "paused", for example because the process was killed. ``idle`` means that the run has no valid state file.
+"""
 
 
 @dataclass(frozen=True)
