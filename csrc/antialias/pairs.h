@@ -22,7 +22,7 @@ struct Rows {
     int begin, end;
 };
 
-// The arrays of one image.
+// One image of a plan: where its data start in the arrays of the plan, and its size.
 struct View {
     Plan plan;
     std::size_t first_pixel, first_vertex;
@@ -64,8 +64,8 @@ FOURD_HD static inline Code analyse(const View& view, const Pair& pair) {
 }
 
 // Returns true if the pair exists and its owner shows a triangle with valid vertices. The owner is the pixel with the
-// nearer triangle, according to `code`. The result is always true for codes from analyse(), but the bindings do not
-// check codes, so a caller can pass arbitrary codes to the backward kernels.
+// nearer triangle, according to `code`. The result is always true for a code that is not 0 and comes from analyse(),
+// but the bindings do not check codes, so a caller can pass arbitrary codes to the backward kernels.
 FOURD_HD static inline bool has_owner(const View& view, const Pair& pair, Code code) {
     if (pair.axis == 0 ? pair.column + 1 >= view.width : pair.row + 1 >= view.height) return false;
     const std::size_t first = view.pixel(pair.row, pair.column);

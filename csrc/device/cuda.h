@@ -24,7 +24,8 @@ __global__ void __launch_bounds__(kThreads) run_for_each(const Kernel kernel, co
     }
 }
 
-// `count` must be a multiple of kWarpSize, so that every warp is complete.
+// Calls kernel(index, lane) for each index below `count`, which must be a multiple of kWarpSize, so that every warp is
+// complete.
 template <typename Kernel>
 __global__ void __launch_bounds__(kThreads) run_warps(const Kernel kernel, const std::size_t count) {
     const std::size_t stride = static_cast<std::size_t>(gridDim.x) * kThreads;

@@ -21,9 +21,10 @@ class EntryEstimator {
     EntryEstimator(const EntryEstimator&) = delete;
     EntryEstimator& operator=(const EntryEstimator&) = delete;
 
-    // Returns the number of entries to allocate for the next image, which has `count` primitives. The result is 25%
+    // Returns the number of entries to allocate for the next image, which has `count` primitives. The number is 25%
     // above the recent maximum count of entries. This maximum decays slowly, so that the allocation stays large enough
-    // if near and far views of a scene alternate.
+    // if near and far views of a scene alternate. Before the GPU has written a count, the number is
+    // kFirstGuess * count. The result is rounded up (see kStep) and at most kMaxEntries.
     std::size_t entries(std::size_t count) {
         const std::uint64_t needed = *static_cast<volatile std::uint64_t*>(needed_);
         recent_max_ = std::max(recent_max_ - recent_max_ / 64, needed);
@@ -37,7 +38,8 @@ class EntryEstimator {
 
   private:
     static constexpr std::uint64_t kFirstGuess = 8;
-    // The number of entries is rounded up to a multiple of kStep, so that consecutive images can reuse the same memory.
+    // The number of entries is rounded up to the next larger multiple of kStep, so that consecutive images can reuse
+    // the same memory.
     static constexpr std::uint64_t kStep = 1 << 16;
     static constexpr std::uint64_t kMaxEntries = 0x7fff0000;
 

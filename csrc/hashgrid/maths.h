@@ -66,8 +66,8 @@ FOURD_HD static FOURD_INLINE Interpolation interpolate_axis(const Level& level, 
     return {static_cast<std::uint32_t>(low), position - static_cast<float>(low), inside ? size : 0.0f};
 }
 
-// Returns the index of a vertex's entry, relative to the first entry of the level. x, y and z are the vertex indices
-// along the axes, multiplied by `stride`.
+// Returns the index of a vertex's entry, relative to the first entry of the level. x, y and z are the indices of the
+// vertex along the three axes, each multiplied by the element of level.stride for its axis.
 FOURD_HD static FOURD_INLINE std::uint32_t entry_of(const Level& level, std::uint32_t x, std::uint32_t y,
                                                     std::uint32_t z) {
     return level.hashed ? (x ^ y ^ z) & (level.entries - 1u) : x + y + z;

@@ -14,7 +14,8 @@ struct Query {
     const float* attr;         // Shape (images or 1, vertices, channels).
     std::size_t vertices;
     std::size_t channels;
-    // Number of vertices between the attributes of successive images, or 0 if all images share the attributes.
+    // The attributes of image i start at vertex i * image_stride of `attr`. If all images share the attributes,
+    // image_stride is 0.
     std::size_t image_stride;
     const std::int32_t* tri;   // Shape (triangles, 3): vertex indices.
     std::size_t triangles;

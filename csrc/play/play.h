@@ -1,5 +1,5 @@
-// Draws baked frames, whose arrays are mostly float16, and sorts their points by depth. Player and DepthSorter keep
-// their memory for the next image. Callers check shapes, and arrays are dense and row-major.
+// Draws baked frames (play/frame.h), whose arrays are mostly float16, and sorts their points by depth. Player and
+// DepthSorter keep their memory for the next image. Callers check shapes, and arrays are dense and row-major.
 #pragma once
 
 #include <cstddef>

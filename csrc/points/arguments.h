@@ -15,8 +15,10 @@
 
 namespace fourd {
 
-// `camera` has 21 numbers: the intrinsics K (3 x 3) and the rotation R (3 x 3), both row-major, and the translation T
-// (3,). Throws std::invalid_argument if `camera` does not have 21 numbers.
+// Returns the settings of the point renderer. `camera` has 21 numbers: the intrinsics K (3 x 3) and the rotation R
+// (3 x 3), both row-major, and the translation T (3,). Throws std::invalid_argument if `camera` does not have 21
+// numbers, if `width`, `height`, `layers`, `near_depth` or `threads` is out of range, or if this machine does not
+// support the instruction set `simd`.
 inline points::Settings points_settings(const std::vector<double>& camera, std::size_t width, std::size_t height,
                                         int layers, double near_depth, double transmittance_min, int threads,
                                         const std::string& simd) {

@@ -30,7 +30,7 @@ struct alignas(16) Splat {
     float density;         // At most 1.
     float z;               // Camera depth.
     float rho;             // Projected radius in pixels.
-    std::uint16_t left, right, top, bottom;  // Inclusive range of blocks (4 x 4 pixels) it may hit.
+    std::uint16_t left, right, top, bottom;  // Inclusive range of blocks (4 x 4 pixels) that the point may hit.
 };
 
 FOURD_HD static inline TileRange tile_range_of(const Splat& splat) {

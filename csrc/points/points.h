@@ -78,8 +78,8 @@ struct Workspace;  // Reusable memory. This type is defined in cpu/workspace.h.
 
 void render(const Cloud& cloud, const Settings& settings, Workspace& workspace, const Image& out);
 
-// Computes the gradient of render(). settings.transmittance_min is ignored, because the backward pass always uses all K
-// depth layers.
+// Computes the gradient of render(). At each pixel, the function uses the nearest points that hit the pixel, up to
+// settings.layers of them. It ignores settings.transmittance_min.
 void render_backward(const Cloud& cloud, const Settings& settings, Workspace& workspace, const ImageGradient& gradient,
                      const CloudGradient& out);
 

@@ -20,7 +20,9 @@ struct DiscRay {
     Number normal[3];  // The normal of the discs, divided by the dot product of the normal and the scaled direction.
 };
 
-// Returns false if the ray is parallel to the discs.
+// Prepares a ray for intersections with discs, and writes it to `out`. `direction` is the original, unscaled direction
+// of the ray. `facing` is the normal of all discs, or null to use the direction of the ray. Returns false if the ray is
+// parallel to the discs.
 FOURD_HD FOURD_INLINE bool prepare_discs(const Ray& ray, const float* direction, const float* facing,
                                          DiscRay<float>* out) {
     float product = 0.0f;

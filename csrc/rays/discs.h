@@ -47,12 +47,13 @@ DiscTree build_discs(const Discs& discs, int threads);
 struct DiscPicture {
     const float* colours;  // Shape (Discs::count, 3): colours of the discs for which the tree was built.
     const float* facing;   // Shape (3,): the normal of all discs, or null to use each ray's direction.
-    int layers;            // Number K of nearest discs that are composited, from 1 to kMaxDiscLayers.
+    int layers;            // Maximum number of discs that are composited per ray, from 1 to kMaxDiscLayers.
     float* rgba;           // Shape (Rays::count, 4): colour multiplied by alpha, then alpha.
 };
 
-// Composites the K nearest discs of each ray front to back, in the order of (t, index). The alpha of a disc at the
-// distance d from its centre is density * (1 - d^2 / radius^2). Rays::after_t and after_triangle are ignored.
+// Composites, for each ray, the discs that the ray hits. The order is front to back: by t, then by index. If a ray hits
+// more than picture.layers discs, only the first picture.layers of them are used. The alpha of a disc at the distance d
+// from its centre is density * (1 - d^2 / radius^2). Rays::after_t and after_triangle are ignored.
 void composite_discs(const DiscTreeView& tree, const Rays& rays, const DiscPicture& picture);
 
 }  // namespace fourd::rays

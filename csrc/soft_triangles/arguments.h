@@ -16,6 +16,7 @@
 
 namespace fourd {
 
+// Returns the settings of soft rasterization. `camera` is the same as for points_settings (points/arguments.h).
 // `softness` has 7 numbers. The first is 1 for barycentric distances, and 0 for Euclidean distances. The others are
 // the arguments sigma, gamma, cutoff, near, far and eps of rasterize_soft (fourd/raster/triangles/soft.py).
 inline soft_triangles::Settings soft_settings(const std::vector<double>& camera, std::size_t width, std::size_t height,

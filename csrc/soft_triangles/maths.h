@@ -235,7 +235,7 @@ FOURD_HD static inline void add_gradient(const Face& face, const Softness& softn
     const Number signed_x = to_x * c(softness.sharpness);
     const Number to_square = select(at.inside, signed_x, zero - signed_x);
     // Back-propagates the gradient of the depth. The depth is 1 / q, where q is the sum over k of
-    // max(lambda_k, 0) / (z_k * total).
+    // max(lambda_k, 0) / (z_k * total), and `total` is the sum over k of max(lambda_k, 0).
     const Number to_inverse = (zero - to_depth) / (at.inverse_depth * at.inverse_depth);
     const Number to_each = to_inverse / at.total;
     Number to_lambda[3], mean = zero;

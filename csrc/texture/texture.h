@@ -22,11 +22,11 @@ struct Shape {
     int channels;
     int level_count;            // From 1 to kMaxLevels.
 
-    // Returns the number of texels of one item (texture) in this level, which is below 2^31.
+    // Returns the number of texels of one item (texture) in mip level `level`. The number is below 2^31.
     FOURD_HD FOURD_INLINE std::size_t texels(int level) const {
         return static_cast<std::size_t>(faces) * side_at(height, level) * side_at(width, level);
     }
-    // Returns the number of floats of one item in this level.
+    // Returns the number of floats of one item in mip level `level`.
     FOURD_HD FOURD_INLINE std::size_t floats(int level) const { return texels(level) * channels; }
 };
 

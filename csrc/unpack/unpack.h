@@ -38,7 +38,9 @@ struct Views {
     const std::uint8_t* mean;      // Shape (points, 3): mean colour of each point over the source views.
     const std::uint16_t* weights;  // Shape (kWeightCodes): the blend weight of each code, as a half.
     int colour_step;               // Quantization step of the colour levels, from 1 to 127.
-    bool every_point_has_colours;  // If false, only the points whose weight code is not 0 have colours.
+    // If true, every point has colour levels in every view. If false, a point has colour levels only in the views in
+    // which its weight code is not 0, and in the other views it gets its mean colour.
+    bool every_point_has_colours;
 };
 
 // Positions are rounded to a grid of cubic cells. The Morton code of a point interleaves the bits of its three cell

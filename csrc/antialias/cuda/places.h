@@ -1,4 +1,5 @@
-// Function objects and indices, shared by the CUDA kernels that process pairs of neighbouring pixels.
+// Code that the CUDA kernels of antialiasing and of edge gradients share: the kernel that finds the silhouette edges of
+// all triangles, and the conversion of a thread index to a pixel.
 #pragma once
 
 #include "antialias/pairs.h"

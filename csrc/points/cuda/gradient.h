@@ -5,9 +5,10 @@
 
 namespace fourd::points::cuda {
 
-// The gradient of the loss with respect to the image, at one pixel. From it, GradientPixel computes the "value" of each
-// layer of the pixel: the derivative of the loss with respect to the layer's weight, without the contribution of the
-// pixel's alpha. points/cpu/gradient.inc has the formulas, and explains why this contribution is left out.
+// The gradient of the loss with respect to the image, at one pixel. The layers of a pixel are the points that are
+// composited at this pixel. From the gradient, GradientPixel computes the "value" of each layer: the derivative of the
+// loss with respect to the layer's weight, without the contribution of the pixel's alpha. points/cpu/gradient.inc has
+// the formulas, and explains why this contribution is left out.
 template <int kCapacity>
 struct Upstream {
     float colour[kCapacity];

@@ -31,8 +31,8 @@ struct DepthSum {
     FOURD_DEVICE float mean_behind() const { return behind / weight; }
 };
 
-// kCapacity must be at least the number of channels. Loops up to the constant kCapacity can be unrolled, so the
-// compiler can keep arrays in registers.
+// Composites the features of a pixel and writes them with the pixel's alpha and depth. kCapacity must be at least the
+// number of channels. Loops up to the constant kCapacity can be unrolled, so the compiler can keep arrays in registers.
 template <int kCapacity>
 struct RenderPixel {
     View view;

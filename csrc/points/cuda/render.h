@@ -1,5 +1,5 @@
-// The point renderer on a GPU. Callers check shapes and sizes. Every pointer points to a dense row-major array in GPU
-// memory. Functions queue work on a stream and do not wait for the GPU.
+// The point renderer (points/points.h) on a GPU. Callers check shapes and sizes. Every pointer points to a dense
+// row-major array in GPU memory. Functions queue work on a stream and do not wait for the GPU.
 #pragma once
 
 #include <cstddef>
@@ -24,8 +24,9 @@ void render(const Cloud& cloud, const Settings& settings, const EntryBuffer& buf
 // Renders three channels over a background, to an 8-bit image with rounded values.
 void draw(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer, const Canvas& out, void* stream);
 
-// settings.layers must be at most kMaxLayersBackward. settings.transmittance_min is ignored. The order of the additions
-// over the pixels of a point is not fixed, so the last bits of gradients can differ between calls.
+// Computes the gradient of render(). settings.layers must be at most kMaxLayersBackward. settings.transmittance_min is
+// ignored. The order of the additions over the pixels of a point is not fixed, so the last bits of gradients can differ
+// between calls.
 void render_backward(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer,
                      const ImageGradient& gradient, const CloudGradient& out, void* stream);
 

@@ -61,8 +61,9 @@ FOURD_DEVICE static inline float depth_of(std::uint64_t key) {
     return depth;
 }
 
-// The buffer to which the kernels write the nearest triangle of each pixel. If `previous` is not null, each pixel
-// ignores all triangles that are not behind its triangle in `previous` (depth peeling).
+// The buffer to which the kernels write the nearest triangle of each pixel. If `previous` is not null, the kernels
+// write the nearest of the triangles that are behind the pixel's triangle in `previous` (depth peeling). Of two
+// triangles at the same depth, the one with the larger index counts as behind the other one.
 struct Target {
     Screen screen;
     std::uint64_t* keys;    // Shape (images, height, width).

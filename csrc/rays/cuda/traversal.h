@@ -29,8 +29,9 @@ struct Entry {
     std::int32_t child;
 };
 
-// Visits the blocks whose boxes the ray meets at a t' between first_of(ray) and last(). The value of last() may become
-// smaller during the traversal. visit(block) returns true to end the traversal.
+// Calls visit(block) for the blocks whose boxes the ray meets at a t' from first_of(ray) to last(). The function last()
+// of the caller returns the current upper limit of t', which may become smaller during the traversal. visit(block)
+// returns true to end the traversal.
 template <typename Block, typename Visit, typename Last>
 FOURD_DEVICE void traverse(const Node* nodes, const Block* blocks, const Ray& ray, Visit& visit, const Last& last) {
     const float first = first_of(ray);

@@ -79,7 +79,7 @@ struct Nearest {
     }
 };
 
-// Returns the number of triangles with a depth of at most `depth`.
+// Returns how many triangles of the list have a depth of at most `depth` at the pixel.
 FOURD_DEVICE static inline int count_up_to(const View& view, const EntryList& list, const Pixel& pixel, float depth) {
     int found = 0;
     for (std::size_t position = 0; position < list.count; ++position) {
@@ -94,9 +94,9 @@ FOURD_DEVICE static inline float float_of(std::uint32_t bits) {
     return value;
 }
 
-// If a pixel has at most `layers` hits, it uses all of them. Otherwise, a binary search finds the depth of the last
-// triangle that the pixel uses. The search runs over the bits of the depths, read as integers. Depths are positive, so
-// their bits have the same order as the depths.
+// Returns the Nearest of a pixel. If at most `layers` triangles hit the pixel, all of them are used. Otherwise, a
+// binary search finds the depth of the last triangle that is used. The search runs over the bits of the depths, read as
+// integers. Depths are positive, so their bits have the same order as the depths.
 FOURD_DEVICE static inline Nearest find_nearest(const View& view, const EntryList& list, const Pixel& pixel) {
     Nearest out{view.softness.background_depth, kNoHit, 0};
     int hits = 0;

@@ -1,5 +1,5 @@
-// Soft rasterization on a GPU. Functions queue work on a stream and do not wait for the GPU. All arrays are in GPU
-// memory.
+// Soft rasterization (soft_triangles/soft_triangles.h) on a GPU. Functions queue work on a stream and do not wait for
+// the GPU. All arrays are in GPU memory.
 #pragma once
 
 #include <cstddef>

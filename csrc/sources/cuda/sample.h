@@ -1,5 +1,5 @@
-// Samples source views on a GPU. Functions queue work on a stream and do not wait for the GPU. All arrays are in GPU
-// memory, except query.cameras, which is in host memory.
+// Samples source views (sources/sources.h) on a GPU. Functions queue work on a stream and do not wait for the GPU. All
+// arrays are in GPU memory, except query.cameras, which is in host memory.
 #pragma once
 
 #include "sources/sources.h"

@@ -62,8 +62,9 @@ struct View {
     }
 };
 
-// kCapacity must be at least the number of channels. Loops up to the constant kCapacity can be unrolled, so the
-// compiler can keep arrays in registers.
+// Renders a pixel, and updates the largest compositing weight of each triangle that hits it. kCapacity must be at least
+// the number of channels. Loops up to the constant kCapacity can be unrolled, so the compiler can keep arrays in
+// registers.
 template <int kCapacity>
 struct RenderPixel {
     View view;

@@ -1,5 +1,5 @@
-// Triangle splatting on a GPU. Functions queue work on a stream and do not wait for the GPU. All arrays are in GPU
-// memory.
+// Triangle splatting (splat_triangles/splat_triangles.h) on a GPU. Functions queue work on a stream and do not wait for
+// the GPU. All arrays are in GPU memory.
 #pragma once
 
 #include <cstddef>

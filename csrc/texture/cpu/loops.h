@@ -25,9 +25,9 @@ struct Bands {
     int count;
 };
 
-// An entry records that a pixel of a task (range of pixels) reads texels of a band (range of texels). Its value is 2i +
-// s, where i is the index of the pixel in the task. A lookup blends up to two mip levels: s is 0 for texels of the
-// finer level, and 1 for texels of the coarser level.
+// An entry records that a pixel of a task (range of pixels) reads texels of a band (range of texels). Its value is
+// 2 * i + s, where i is the index of the pixel in the task. A lookup blends up to two mip levels: s is 0 for texels of
+// the finer level, and 1 for texels of the coarser level.
 using Entry = std::uint16_t;
 // Maximum number of entries of a task: four texels in each of two levels for each pixel.
 constexpr std::size_t kMaxEntries = 8 * kTaskPixels;

@@ -1,4 +1,5 @@
-// Texture lookup on a GPU. Functions queue work on a stream and do not wait for the GPU. All arrays are in GPU memory.
+// Texture lookup (texture/texture.h) on a GPU. Functions queue work on a stream and do not wait for the GPU. All arrays
+// are in GPU memory.
 #pragma once
 
 #include "texture/texture.h"
