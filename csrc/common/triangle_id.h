@@ -16,7 +16,7 @@ constexpr std::uint32_t kExactIds = 1u << 24;
 constexpr std::uint32_t kIdBits = 0x4a800000u;
 constexpr std::uint32_t kMaxTriangles = 0x7f800000u - kIdBits - 1;  // Ids above kMaxTriangles would be infinite or NaN.
 
-// Returns the pixel value of a triangle, or of kNoTriangle.
+// Returns the float that encodes the index `triangle` in a rasterized image. `triangle` may be kNoTriangle.
 FOURD_HD static inline float value_of_triangle(int triangle) {
     const std::uint32_t number = static_cast<std::uint32_t>(triangle + 1);
     if (number <= kExactIds) return static_cast<float>(number);

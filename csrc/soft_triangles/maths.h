@@ -198,7 +198,7 @@ FOURD_HD static inline auto coverage_at(const Face& face, const Softness& softne
     return out;
 }
 
-// D = sigmoid(x), and 1 - D.
+// The coverage D = sigmoid(x) of a pixel by a triangle (`covered`), and its complement 1 - D (`open`).
 template <typename Number>
 struct Odds {
     Number covered, open;

@@ -36,8 +36,8 @@ class ImageEncoder(nn.Module):
         self.out = nn.Conv2d(16, out_features, 3, padding=1)
 
     def forward(self, images: Tensor) -> Tensor:
-        # The channels of a pixel are adjacent in memory, because the kernel that samples the features reads all of them
-        # together.
+        # In this memory format, the channels of a pixel are adjacent, also in the feature images that the convolutions
+        # return. The kernel that samples the features reads all channels of a pixel together.
         images = images.contiguous(memory_format=torch.channels_last)
         full = self.at_full(functional.avg_pool2d(images, self.stride) if self.stride > 1 else images)
         half = self.at_half(full)

@@ -31,7 +31,7 @@ struct Plan {
     const std::uint32_t* order;  // Shape (query->count,): indices of the points in spatial order.
 };
 
-// The values of Interpolation for the points of a batch, indexed by axis, then by point.
+// The members of the struct Interpolation for all points of a batch, as arrays indexed by axis, then by point.
 struct RunPositions {
     int* low;         // Shape (axis_count, kRun).
     float* fraction;  // Shape (axis_count, kRun).

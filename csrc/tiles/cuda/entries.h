@@ -39,8 +39,8 @@ struct Entries {
     std::uint32_t* depths;       // Bits of the depth of each primitive, indexed by rank.
     std::uint32_t* indices;      // Index of the primitive of each rank.
     std::uint64_t* tile_counts;  // Number of tiles that the primitive of each rank covers. The last element is 0.
-    // For each rank, the index of its primitive's first entry in the input of the second sort. In this input, the
-    // entries are ordered by rank. The last element is the count of all entries.
+    // For each rank, the index of the first entry of its primitive in a list of all entries that is ordered by rank (the
+    // input of the second sort). The last element is the count of all entries.
     std::uint64_t* begin;
     std::uint32_t* entry_tiles;  // Tile of each entry, in ascending order.
     std::uint32_t* entry_ranks;  // Rank of each entry's primitive. Entries are sorted by tile, then by rank.

@@ -53,8 +53,8 @@ def transcode_scene(
 
 
 def _contents(reader: SceneReader, folder: str, points: int, encoding: CloudEncoding) -> dict[str, bytes]:
-    """Return the decompressed contents of a cloud's members. The caller must have read the cloud with ``reader``,
-    which checks the members."""
+    """Return the decompressed contents of a cloud's members, which are the files below ``folder`` in the archive. The
+    caller must have read the cloud with ``reader``, which checks the members."""
     manifest = reader.manifest
     optional = [item.nbytes(points, manifest.view_count) for item in manifest.attributes if item.is_optional]
     largest = max(points * max(encoding.code_bytes + 3, 2 * SH_NUMBERS), *optional, 0)

@@ -27,7 +27,7 @@ from fourd.limits import require_regular
 # last one.
 GROUPS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
 # Mean and standard deviation of the colours of ImageNet images, scaled to [-1, 1]. The LPIPS heads were trained on
-# images that are normalised with them.
+# images from which this mean was subtracted, and which were then divided by this standard deviation.
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
 # If a side were below this length, the image would have size 0 after the four pooling layers.
