@@ -1,5 +1,5 @@
-// Parses the rules for the sizes of a bound function's arguments, and evaluates the rules of one call. A fuzzer needs
-// them because few combinations of random sizes would be valid.
+// Parses the rules for the sizes of a bound function's arguments, and chooses sizes that obey them for one call. A
+// fuzzer needs the rules because few combinations of random sizes would be valid.
 //
 // The docstring of every bound function with array arguments contains a line `Sizes: RULE RULE ...`. A function that
 // accepts several combinations of sizes has one such line for each of them.

@@ -46,7 +46,7 @@ struct AntialiasInputs {
         codes.resize(pixels);
     }
 
-    // Replaces the codes (one byte per pixel), which antialias::blend() writes, by random bytes.
+    // Fills the codes with random bytes. Usually, antialias::blend() writes the codes, one byte per pixel.
     void invent_codes(Random& random) {
         for (std::uint8_t& code : codes) code = static_cast<std::uint8_t>(random_int(random, 0, 255));
     }

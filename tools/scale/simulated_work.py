@@ -55,7 +55,8 @@ class SimulatedSettings:
 
 
 def work(files: SimulatedFiles, settings: SimulatedSettings, context: Context) -> None:
-    """Wait once for each unit of the stage that is not finished, and write the stage's output."""
+    """Simulate the work of a stage: sleep once for each unit of work that is not finished yet, and then write the
+    stage's output."""
     done = int(files.count.read_text()) if files.count.exists() else 0
     for unit in range(done, settings.units):
         _log(files.log, STARTED, unit)

@@ -83,7 +83,8 @@ def sort_points_reference(
 
 
 def _covers_pixel(centre: NDArray[np.float32], rho: NDArray[np.float32], size: int) -> NDArray[np.bool_]:
-    """Return a mask of the discs whose extent along one axis contains the centre of any pixel of the image."""
+    """Return a mask of the discs that cover a pixel centre of the image, tested only along one image axis. ``centre``
+    and ``rho`` are the position and the radius of each disc on this axis, and ``size`` is the number of pixels."""
     extent = rho.astype(np.float64) * RADIUS_MARGIN
     first = np.ceil(centre - extent - 0.5)
     last = np.floor(centre + extent - 0.5)
