@@ -21,9 +21,9 @@ def drop_crumbs(
         min_share: parts are kept if their area is at least this fraction, in [0, 1], of the largest part's area.
 
     Returns:
-        the remaining vertices and triangles, in their original order, without unused vertices. The surface
-        of a cavity has a negative signed volume, because its normals point into the cavity. Of the parts that are large enough, only those with a
-        positive signed volume are kept. If there is none, all large enough parts are kept.
+        the remaining vertices and triangles, in their original order, without unused vertices. The surface of a cavity
+        has a negative signed volume, because its normals point into the cavity. Of the parts that are large enough,
+        only those with a positive signed volume are kept. If there is none, all large enough parts are kept.
 
     Raises:
         ValueError: if ``min_share`` is outside [0, 1].
