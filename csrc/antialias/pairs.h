@@ -63,9 +63,10 @@ FOURD_HD static inline Code analyse(const View& view, const Pair& pair) {
     return edge == 0 ? 0 : code_of(edge, is_second, pair.axis);
 }
 
-// Returns true if the pair exists and its owner shows a triangle with valid vertices. The owner is the pixel with the
-// nearer triangle, according to `code`. The result is always true for a code that is not 0 and comes from analyse(),
-// but the bindings do not check codes, so a caller can pass arbitrary codes to the backward kernels.
+// Returns true if the second pixel of the pair is inside the image, and the pair's owner shows a triangle with valid
+// vertex indices. The owner is the pixel with the nearer triangle, according to `code`. The result is always true for a
+// code that is not 0 and comes from analyse(), but the bindings do not check codes, so a caller can pass arbitrary
+// codes to the backward kernels.
 FOURD_HD static inline bool has_owner(const View& view, const Pair& pair, Code code) {
     if (pair.axis == 0 ? pair.column + 1 >= view.width : pair.row + 1 >= view.height) return false;
     const std::size_t first = view.pixel(pair.row, pair.column);

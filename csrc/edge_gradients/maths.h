@@ -103,8 +103,9 @@ struct Plane {
 };
 
 // Returns true if the line along which two triangles intersect crosses the segment between the centres of two pixels.
-// The owner is the pixel whose triangle is nearer. Returns false if a triangle does not contain both centres, or if the
-// owner's triangle (of_owner) is behind the other one at the owner's centre. An intersection line is ignored if its
+// The owner is the pixel whose triangle (of_owner) is nearer, if the depth of each pixel's triangle is taken at the
+// centre of that pixel. Both triangles must contain both centres. At the owner's centre, of_owner must not be behind
+// of_other, and at the other centre, of_owner must not be in front of of_other. An intersection line is ignored if its
 // angle to the segment is below 45 degrees, which is the rule of antialias::crossed_edge() for silhouette edges.
 FOURD_HD static inline bool intersect(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int of_owner,
                                       int of_other) {

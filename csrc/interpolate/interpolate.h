@@ -46,7 +46,7 @@ struct Gradients {
     float* rast_db;       // Shape (images, height, width, 4), or null.
 };
 
-// Overwrites the gradients of the inputs.
+// Computes the gradients of the inputs. The arrays that receive them are overwritten.
 void interpolate_backward(const Query& query, const Gradients& gradients);
 
 }  // namespace fourd::interpolate

@@ -9,10 +9,11 @@
 
 namespace fourd::interpolate {
 
-// For each vertex of a triangle, the offset of its first attribute among the attributes of an image.
+// For each vertex of a triangle, the index of the vertex's first attribute in the attribute array (vertices, channels)
+// of an image.
 struct Corners {
     std::size_t at[3];
-    bool is_valid;  // False for the background, or if the triangle or one of its vertices does not exist.
+    bool is_valid;  // False for the background, or if the index of the triangle or of a vertex is out of range.
 };
 
 FOURD_HD static inline Corners corners_of(float id, const std::int32_t* tri, std::size_t triangles,

@@ -71,8 +71,8 @@ FOURD_HD static inline bool all_inside(const Snapped& a, const Snapped& b, const
     return a.state == VertexState::inside && b.state == VertexState::inside && c.state == VertexState::inside;
 }
 
-// Sets the reference pixel of a triangle's Planes (maths.h). These are linear functions over the image, stored as their
-// values at the reference pixel and their slopes. The reference pixel is the centre of the image for a clipped
+// Sets the reference pixel of a piece. The struct Planes (maths.h) stores linear functions over the image, such as z/w,
+// as their values at the reference pixel and their slopes. The reference pixel is the centre of the image for a clipped
 // triangle, and the first pixel of the bounding box for any other triangle.
 FOURD_HD static inline void set_reference(const Screen& screen, bool is_clipped, const Bounds& bounds, Piece* piece) {
     piece->reference_x = static_cast<std::uint16_t>(is_clipped ? screen.width / 2 : bounds.left);

@@ -28,8 +28,8 @@ FOURD_HD static inline float bounded(double gradient) {
 // The next 3 values are the gradients with respect to the slopes `x`, and the last 3 values are those with respect to
 // the slopes `y`.
 //
-// `b` has the values at the pixel of the first three functions of Planes (maths.h), which are b_0, b_1 and s times
-// Planes::scale. `x` and `y` have the slopes of these functions, per pixel along x and along y. grad_u and grad_v are
+// The first three functions of Planes (maths.h) are b_0, b_1 and s times Planes::scale. `b` has their values at the
+// pixel. `x` and `y` have the slopes of these functions, per pixel along x and along y. grad_u and grad_v are
 // the gradients with respect to u and v in rast. `db` (4,) is the gradient with respect to rast_db.
 template <bool kDerivatives>
 FOURD_HD static inline void pixel_gradient(const float* b, const float* x, const float* y, float grad_u, float grad_v,

@@ -17,8 +17,8 @@
 
 namespace fourd::rays {
 
-// The absolute coordinates of vertices, origins and directions must be at most kMaxMagnitude. The largest absolute
-// coordinate of a direction must be at least kMinDirection.
+// The coordinates of vertices, origins and directions must be in [-kMaxMagnitude, kMaxMagnitude]. The largest absolute
+// value of a direction's coordinates must be at least kMinDirection.
 constexpr float kMaxMagnitude = 1e18f;
 constexpr float kMinDirection = 1e-18f;
 // Padding of boxes, as a multiple of the largest absolute coordinate of the ray's origin and the mesh. The rounding

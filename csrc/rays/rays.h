@@ -37,11 +37,11 @@ struct alignas(64) Block {
 struct Mesh {
     const float* xyz;  // Shape (vertices, 3).
     std::size_t vertices;
-    const std::int32_t* tri;  // Shape (triangles, 3). A triangle with a vertex that does not exist is never hit.
+    const std::int32_t* tri;  // Shape (triangles, 3). A triangle with a vertex index out of range is never hit.
     std::size_t triangles;
 
-    // Writes the three vertex indices of a triangle to `corners`. Returns false if the triangle or one of its vertices
-    // does not exist.
+    // Writes the three vertex indices of a triangle to `corners`. Returns false if `triangle` or one of the vertex
+    // indices is out of range.
     FOURD_HD FOURD_INLINE bool find(std::int32_t triangle, std::size_t* corners) const {
         if (triangle < 0 || static_cast<std::size_t>(triangle) >= triangles) return false;
         for (std::size_t k = 0; k < 3; ++k) {

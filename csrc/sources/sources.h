@@ -46,7 +46,7 @@ struct Gradients {
     float* features;  // Null, or an array with the shape of Maps::features.
 };
 
-// Returns the four samples around a projected point, in the image of a view.
+// Returns the offsets and weights of the four samples around a projected point, in the image of a view.
 FOURD_HD FOURD_INLINE Bilinear bilinear_in_image(const Maps& maps, const Projection& at) {
     return bilinear_at(at.u - 0.5f, at.v - 0.5f, maps.width, maps.height);
 }
@@ -60,7 +60,7 @@ FOURD_HD FOURD_INLINE float feature_scale_y(const Maps& maps) {
     return static_cast<float>(maps.feature_height) / static_cast<float>(maps.height);
 }
 
-// Returns the four samples around a projected point, in the features of a view.
+// Returns the offsets and weights of the four samples around a projected point, in the features of a view.
 FOURD_HD FOURD_INLINE Bilinear bilinear_in_features(const Maps& maps, const Projection& at) {
     return bilinear_at(at.u * feature_scale_x(maps) - 0.5f, at.v * feature_scale_y(maps) - 0.5f, maps.feature_width,
                        maps.feature_height);

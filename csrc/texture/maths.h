@@ -45,7 +45,7 @@ FOURD_HD FOURD_INLINE float log2_of(float x) {
     return static_cast<float>(exponent) + z * (series * z2 + 2.8853901f);
 }
 
-// Derivatives of the texture position (s, t) with respect to the x and y coordinates of the sampled picture, in texels
+// Derivatives of the texture position (s, t) with respect to the pixel position (x, y) in the output picture, in texels
 // of level 0 per pixel.
 struct Footprint {
     float s_x, s_y, t_x, t_y;

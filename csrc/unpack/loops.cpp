@@ -99,8 +99,9 @@ FOURD_INLINE std::uint8_t add_level(std::uint8_t mean, std::uint8_t level, int s
     return static_cast<std::uint8_t>(step == 1 ? sum : clamped);
 }
 
-// Writes the weight and the colour of point `i` in the view with the index `number`. `level` has the levels of green,
-// red - green and blue - green.
+// Writes the weight and the colour of point `i` in the view with the index `number`. `level` has three bytes, modulo
+// 256: the level (see add_level) of green, the level of red minus that of green, and the level of blue minus that of
+// green.
 FOURD_INLINE void write_point(const Views& from, std::size_t number, std::size_t i, const std::uint8_t (&level)[3],
                               std::uint16_t* out_weights, std::uint8_t* out_rgb) {
     out_weights[i * from.view_count + number] = from.weights[from.views[number].codes[i]];

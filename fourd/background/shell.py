@@ -79,8 +79,8 @@ def build_shell(
     # points, so that no viewpoint shows a slit between the shell and the known points.
     inverse = np.where(is_rim, RIM_FACTOR, 1) * inverse
     xyz = centre + directions / inverse[:, None]
-    # Shell points that are closer to the centre than the median camera are dropped. The cameras see the space around
-    # the centre, so a gap between points there means that the points are sparse, not that no camera sees the gap.
+    # Shell points that are closer to the centre than the median camera are dropped. The cameras see this part of the
+    # scene, so a gap in it only means that the known points are sparse there.
     reach = float(np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]))
     kept = (inverse * reach < 1) & ~_occludes(xyz, points.xyz.astype(np.float64), cameras)
     colours = np.clip(np.rint(rgb[kept]), 0, 255).astype(np.uint8)

@@ -68,9 +68,9 @@ def frame_coherence(
     """
     focus, reach = viewing_region(cameras)
     views = Silhouettes.from_masks(masks, cameras, focus, agreement=agreement, least_views=least_views)
-    # The candidate cells must also contain each hull that is computed with one view left out. A cell of such a hull may
-    # be excluded by the left-out view in addition to the tolerated outliers. Therefore, ``rejecting``, the number of
-    # views that may exclude a candidate cell, is the number of tolerated outliers plus 1.
+    # The candidate cells must also contain each hull that is computed with one view left out. A cell of such a hull can
+    # be outside the silhouettes of some views (the tolerated outliers), and also outside that of the left-out view. A
+    # candidate cell may therefore be outside ``rejecting`` silhouettes, one more than the number of tolerated outliers.
     count = len(views.views)
     rejecting = int(views.tolerated_outliers(np.array(count))) + 1
     cells, size = candidate_cells(replace(views, agreement=max(0.5, 1 - rejecting / count)), 1.5 * reach)

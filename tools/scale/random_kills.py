@@ -129,8 +129,9 @@ def run_with_kills(
         running = {pid: name for pid, name in nodes.stages().items() if victims.count(name) < RETRIES}
         if not running:
             continue
-        # ``kept`` has the finished segments, which must not be trained again. The segment whose process is killed next
-        # is an exception: it may have finished just before the kill, so it is removed from ``kept``.
+        # ``kept`` has the finished segments, which must not be trained again. Only the segment whose process is killed
+        # next may be trained again, so it is removed from ``kept``. It is in ``kept`` if it has finished since
+        # ``running`` was read.
         kept = {**command.finished_segments(), **kept}
         pid, name = min(running.items(), key=lambda item: (victims.count(item[1]), item))
         if kinds[len(killed)] == "worker":

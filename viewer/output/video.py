@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from fourd.errors import UserError
 from fourd.files import atomic_path, remove_unfinished_file
 
-# The code 1 means BT.709 for matrix, primaries and transfer (ITU-T H.273), and limited range for FFmpeg's color_range.
+# The value 1 stands for BT.709 as the matrix, the primaries and the transfer function (ITU-T H.273). As FFmpeg's
+# color_range, it stands for limited range.
 _BT709 = 1
 _ENCODERS = ("libx264", "libopenh264", "h264_videotoolbox", "h264")
 

@@ -15,14 +15,15 @@ struct Contribution {
 struct Loops {
     void (*silhouettes)(const Mesh&, std::size_t instance, std::size_t begin, std::size_t end, std::uint8_t* out);
 
-    // Writes the colours and the codes of some rows. `scratch` has 3 * width floats.
+    // Writes the blended colours of the given rows to `out`, and a Code (maths.h) for each of their pixels to `codes`.
+    // `scratch` has 3 * width floats.
     void (*blend)(const Plan&, const Rows&, float* scratch, float* out, std::uint8_t* codes);
 
-    // Counts the crossings in the pairs that the pixels of some rows form with their right and lower neighbours.
+    // Counts the crossings in the pairs that the pixels of the given rows form with their right and lower neighbours.
     std::size_t (*count)(const Plan&, const Rows&, const std::uint8_t* codes);
 
-    // Writes the gradient with respect to the colours of some rows. If `contributions` is not null, the function also
-    // writes two contributions for each crossing: one for each end of the edge.
+    // Writes the gradient with respect to the colours of the given rows. If `contributions` is not null, the function
+    // also writes two contributions for each crossing: one for each end of the edge.
     void (*blend_backward)(const Plan&, const Rows&, const Gradients&, Contribution* contributions);
 
     // Overwrites `positions`, the gradient of the positions, at the vertices [begin, end). The gradient of a vertex is

@@ -14,8 +14,9 @@ struct Contribution {
 };
 
 struct Loops {
-    // Writes the codes of some rows. Returns the number of contributions that `contribute` writes for these rows.
-    // `scratch` has three floats for each pixel of a row.
+    // Writes to `codes`, for each pixel of the given rows, a code that describes the visibility edges between the pixel
+    // and its right and lower neighbours (see find_edge in pairs.h). Returns the number of contributions that
+    // `contribute` writes for these rows. `scratch` has three floats for each pixel of a row.
     std::size_t (*find)(const Plan&, const Rows&, const float* gradient, float* scratch, std::uint8_t* codes);
 
     void (*contribute)(const Plan&, const Rows&, const float* gradient, const std::uint8_t* codes, Contribution* out);

@@ -34,8 +34,8 @@ void encode_backward(const Query& query, const float* gradient, float* grad_tabl
     Team team(query.threads);
     if (grad_table != nullptr) {
         prefer_huge_pages(grad_table, query.entries * query.features * sizeof(float));
-        // One worker processes all points of a level, in order, so no locks are needed, and the order of additions is
-        // fixed.
+        // Each level is one task, in which a single worker processes all points in order. Therefore, no locks are
+        // needed, and the order of additions is fixed.
         team.run(query.level_count, [&](int task, int) {
             // The last tasks process small levels, so that the workers finish at about the same time.
             const int l = query.level_count - 1 - task;

@@ -20,7 +20,8 @@ struct GradientTile {
 };
 
 struct Loops {
-    // Writes the pixels [begin, end) of an image. `begin` and `end` are indices among the pixels of all images.
+    // Writes the outputs at the pixels [begin, end). All of them belong to one image, whose attributes are `attr`, but
+    // `begin` and `end` are indices among the pixels of all images.
     void (*forward)(const Query& query, const float* attr, std::size_t begin, std::size_t end, float* out,
                     float* out_da);
 

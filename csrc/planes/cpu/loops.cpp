@@ -30,8 +30,8 @@ FOURD_INLINE void locate_run(const Plan& plan, std::size_t begin, int count, con
 }
 
 // Prefetches the plane samples that surround point i of a batch, in the planes [first, last). Planes that fit in the
-// caches of a core are skipped. `values(k)` returns a pointer to the values of plane k, or to the gradient of these
-// values.
+// caches of a core are skipped. `values(k)` returns a pointer to the array of plane k that the caller
+// accesses: the values of the plane, or the gradient of these values.
 template <typename Values>
 FOURD_INLINE void prefetch_samples(const Plan& plan, const RunPositions& positions, int i, int first, int last,
                                    const Values& values) {

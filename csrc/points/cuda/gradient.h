@@ -54,7 +54,8 @@ struct GradientPixel {
         const Upstream<kCapacity> upstream(gradient, pixel, channels);
         const float per_weight = seen ? upstream.depth / depth.weight : 0.0f;
         const float mean_behind = seen ? depth.mean_behind() : 0.0f;
-        // The values (variable `value` below) of all layers behind the current layer, composited front to back.
+        // The values (variable `value` below) of all layers behind the current layer, composited front to back with the
+        // alphas of these layers.
         float behind = 0.0f;
         float transmittance_behind = 1.0f;  // Transmittance of the layers behind the current layer.
         while (true) {

@@ -46,12 +46,12 @@ class Bins {
     Buffer<Snapped> vertices_;
     // An item is one triangle of one image. first_item_ has the index of each image's first item.
     std::vector<std::size_t> first_item_;
-    // The items are divided into parts, one per worker. For each part, entries_ has the pieces, and counts_ has the
-    // number of these pieces in every tile.
+    // The items are divided into parts, one per worker. For each part, entries_ has the pieces of the part's
+    // triangles, and counts_ has the number of these pieces in every tile.
     std::vector<std::vector<Entry>> entries_;
     std::vector<std::vector<std::uint32_t>> counts_;
     Buffer<Piece> pieces_;
-    // Index of the first piece of each tile. The last element is the number of all pieces.
+    // For each tile, the index in pieces_ of its first piece. The last element is the sum of the tiles' piece counts.
     std::vector<std::size_t> begin_;
 };
 

@@ -16,8 +16,9 @@ constexpr float kLuminance = 0.01f * 0.01f, kContrast = 0.03f * 0.03f;
 // independent.
 constexpr int kLanes = 8;
 
-// Computes the window means along columns for element i of a row. If Number is Eight, the function also computes the
-// means of the next seven elements. `out` has kMeans rows, each with plan.stride floats.
+// Computes the weighted means (listed at kMeans) over a column of kWindow elements: element i of the current row and of
+// the rows below it. If Number is Eight, the function also computes the means for the next seven columns. `out` has
+// kMeans rows, each with plan.stride floats.
 template <typename Number>
 FOURD_INLINE void column_means_at(const Plan& plan, const float* picture, const float* truth, std::size_t i,
                                   float* out) {

@@ -16,7 +16,7 @@ struct Workspace {
         Buffer<std::uint32_t> entries;
         Buffer<float> x, depth;
 
-        // Makes space for the visits of a tile.
+        // Allocates the arrays of Visits (tiles.h) for one tile, and returns pointers to them.
         Visits visits(const Tile& tile);
     };
 

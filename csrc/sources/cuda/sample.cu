@@ -26,8 +26,8 @@ struct Views {
         return view * maps.feature_width * static_cast<std::size_t>(maps.feature_height) * maps.channels;
     }
 
-    // Returns the offset of a point's first channel in a view. Consecutive channels of the point are `count` floats
-    // apart.
+    // Returns the offset, in the array Samples::channels, of a point's first channel in one view. Consecutive channels
+    // of the point are `count` floats apart.
     FOURD_DEVICE std::size_t channels(std::size_t view, std::size_t point) const {
         return view * static_cast<std::size_t>(maps.channels + 3) * count + point;
     }

@@ -40,8 +40,8 @@ struct Loops {
     // memory of 16 floats per entry.
     void (*render)(const Tile& tile, const Image& out, float* best, const std::size_t* slots, float* weights);
 
-    // Computes the gradient of a tile. `slots` is the same as for render(). `sums` has kShapeSums + channels floats per
-    // slot: one ShapeGradient, and then the gradient of the features.
+    // Sums the gradients of each entry over the pixels of a tile. `slots` is the same as for render(). `sums` has
+    // kShapeSums + channels floats per slot: one ShapeGradient, and then the gradient of the features.
     void (*render_backward)(const Tile& tile, const ImageGradient& gradient, const std::size_t* slots, float* sums);
 };
 

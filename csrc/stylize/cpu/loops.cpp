@@ -171,7 +171,8 @@ inline std::uint32_t paper_of(const Numbers& n) {
     return byte_of(n.paper[0]) | byte_of(n.paper[1]) << 8 | byte_of(n.paper[2]) << 16;
 }
 
-// Shades a run of a row, without lines. rows[1] has the taps (samples of the surface) in this row.
+// Shades a run of a row, including the hatching. The lines at abrupt changes of depth or normal are drawn later.
+// rows[1] has the taps (samples of the surface) in this row.
 inline void shade_run(const Surface& surface, const Style& style, const Taps* const* rows, int row, int first, int count,
                       std::uint32_t* picture) {
     Shape shape;

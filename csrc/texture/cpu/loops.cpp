@@ -34,7 +34,7 @@ FOURD_INLINE void prepare(const Query& query, std::size_t pixel, int count, Batc
     for (int slot = 0; slot < slots_of(query); ++slot) find_texels<boundary, with_slopes>(query, b, slot);
 }
 
-// For each mip level, a pointer to the texels of the texture from which a picture is sampled.
+// For each mip level of the texture that one picture samples, a pointer to the texels of the level.
 struct Bases {
     const float* level[kMaxLevels];
 

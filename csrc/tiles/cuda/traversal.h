@@ -46,9 +46,9 @@ FOURD_DEVICE static inline EntryList entry_list(const Entries<Splat>& entries, s
 // Composites the primitives of a list front to back. Each primitive that hits the pixel is a layer. A pixel is complete
 // if it has `layers` layers or a transmittance of at most transmittance_min. The traversal ends when all pixels of the
 // warp are complete or outside the image. The compositor provides pixel_coverage(splat, x, y), whose result has an
-// `alpha` above 0 if the primitive hits the pixel. Calls take(position, rank, splat, coverage, transmittance) for every
-// layer, where `position` is the index in the list and `transmittance` is the transmittance in front of the layer.
-// Returns the final transmittance.
+// `alpha` above 0 if the primitive hits the pixel. This function calls take(position, rank, splat, coverage,
+// transmittance) for every layer, where `position` is the index in the list and `transmittance` is the transmittance in
+// front of the layer. Returns the final transmittance.
 template <typename Splat, typename Take>
 FOURD_DEVICE static inline float traverse(const Entries<Splat>& entries, const EntryList& list, const Pixel& pixel, int layers,
                                           float transmittance_min, const device::Lane& lane, const Take& take) {

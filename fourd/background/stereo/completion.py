@@ -67,7 +67,8 @@ def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], se
     enough = [_has_enough_known(surface, xyz) for surface in surfaces]
     completed = list(surfaces)
     # Images are completed in descending order of the number of known cells that lie on no enclosing plane (floor or
-    # wall). Later images continue the interpolated depths of earlier ones, so that surfaces agree between images.
+    # wall). The interpolated points of each image are used as fixed values when later images are interpolated, so that
+    # surfaces agree between images.
     for index in np.argsort(sizes, kind="stable")[::-1]:
         if not enough[index]:
             continue

@@ -181,8 +181,9 @@ def _add_hull(
     else:
         scores = grid.scores(own)
         priors = [scores.prior(index) for index in range(len(own))]
-    # The log-odds of pixels in the reliable part of the hull (priors above RELIABLE_SCORE) are estimated from all views
-    # together. A single view may fail to detect a part of the subject, so an estimate from it alone would be biased.
+    # For the reliable part of the hull (priors above RELIABLE_SCORE), one number is estimated from the pixels of all
+    # views together: the log-odds that a pixel in this part shows the subject. A single view may fail to detect a part
+    # of the subject, so an estimate from it alone would be biased.
     reliable_own = [
         odds[(prior > RELIABLE_SCORE) & each.region] for odds, prior, each in zip(own, priors, appearances, strict=True)
     ]

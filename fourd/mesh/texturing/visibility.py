@@ -73,8 +73,9 @@ class Occluder:
             # ``start`` is the point, moved outwards by ``offset``. The traced ray starts where the line from the camera
             # through a corner of the square (see CORNERS_PX) meets the plane through ``start``, at
             # ``centre + t * towards``.
-            # Near the contour, the two meet far away or not at all, so t is clamped to keep the ray's origin near the
-            # point. At t = 1, the ray's origin has the same camera depth as ``start``.
+            # If the camera sees the surface almost edge-on, the line is almost parallel to the plane and meets it far
+            # away or not at all, so t is clamped to keep the ray's origin near the point. At t = 1, the ray's origin
+            # has the same camera depth as ``start``.
             t = np.where(np.isfinite(t), t, 1).clip(0.5, 2).astype(np.float32)
             origins = centre + t[:, None] * towards
             rays = torch.from_numpy(origins), torch.from_numpy(centre - origins)
