@@ -24,8 +24,8 @@ class ShadeMapError(UserError):
 
 
 def make_table(style: Style) -> NDArray[np.uint8]:
-    """Make a style's shade table (R, 256, 3), which contains the shading colour for each detail (row) and tone
-    (column). Raises ShadeMapError if the style's shade map is not a PNG of the right shape."""
+    """Make a style's shade table (R, 256, 3) of shading colours. The row depends on the level of detail, and the column
+    on the tone (brightness). Raises ShadeMapError if the style's shade map is not a PNG of the right shape."""
     if style.shading == "gooch":
         tones = np.linspace(0, 1, TONES)[:, None]
         return _bytes((1 - tones) * np.array(style.gooch.cool) + tones * np.array(style.gooch.warm))[None]

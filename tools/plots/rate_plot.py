@@ -21,7 +21,7 @@ MARKERS = {"full": "s", "stream": "o", "video": "D", "light": "^"}
 
 @dataclass(frozen=True)
 class Arguments:
-    """The measured rows and the figure."""
+    """Input and output files: the measured rows of the table, and the figure."""
 
     rows: tyro.conf.Positional[Path]
     """rows.json of tools/plots/rate_distortion.py."""

@@ -67,9 +67,9 @@ def write_styles(path: Path, styles: Mapping[str, Style]) -> None:
 def _describe(name: str, style: Style) -> dict[str, Any]:
     table = make_table(style)
     # view_style() needs a camera, but the exported numbers must not depend on it. The camera therefore has the axes of
-    # the world, so that `light` is not rotated. It is 1 unit from the centre of the scene, because detail_per_depth is
-    # a constant of the style divided by this distance. With a distance of 1, view_style() returns the constant itself,
-    # which is exported as detail_per_distance. The player divides it by the distance of the actual camera.
+    # the world, so that `light` is not rotated. view_style() divides a constant of the style by the camera's distance
+    # from the centre of the scene, and returns the quotient as detail_per_depth. At the distance of 1 unit, it returns
+    # the constant itself. This is exported as detail_per_distance, and the player divides it by the actual distance.
     camera = Camera(np.eye(3), np.eye(3), np.zeros(3), 1, 1)
     parameters = view_style(style, table, camera, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
     numbers = asdict(parameters.numbers)

@@ -33,7 +33,8 @@ struct ProjectPoint {
     }
 };
 
-// Builds the entries of a cloud. Also allocates Entries::sums with `sums` floats per point, for the gradients that the
+// Builds the entries of a cloud of points: one entry for each point and each image tile that the point covers. Also
+// allocates Entries::sums with `sums` floats per point, for the gradients that the
 // backward pass sums over pixels.
 inline Entries fill(const device::Executor& executor, const Cloud& cloud, const Settings& settings,
                     const EntryBuffer& buffer, int sums) {

@@ -15,8 +15,8 @@ constexpr int kBins = 16;
 // At this depth or deeper, nodes split ranges into two halves with equal numbers of primitives, without the surface
 // area heuristic, to limit the depth of the tree.
 constexpr int kMaxSahDepth = 24;
-// In the top of the tree, a range with at most 1 / kParts of all primitives is not split further, but becomes a
-// subtree.
+// The top of the tree is built first, and the subtrees below it are built in parallel. In the top, a range with at most
+// 1 / kParts of all primitives is not split further. It is split later, as one of these subtrees.
 constexpr std::size_t kParts = 48;
 // In the top of the tree, a range of at most kSmallPart primitives also becomes a subtree.
 constexpr std::size_t kSmallPart = 4096;

@@ -94,7 +94,7 @@ FOURD_DEVICE static inline float float_of(std::uint32_t bits) {
     return value;
 }
 
-// Returns the Nearest of a pixel. If at most `layers` triangles hit the pixel, all of them are used. Otherwise, a
+// Returns which triangles are used at a pixel, as a struct Nearest. If at most `layers` triangles hit the pixel, all of them are used. Otherwise, a
 // binary search finds the depth of the last triangle that is used. The search runs over the bits of the depths, read as
 // integers. Depths are positive, so their bits have the same order as the depths.
 FOURD_DEVICE static inline Nearest find_nearest(const View& view, const EntryList& list, const Pixel& pixel) {

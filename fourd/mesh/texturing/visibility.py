@@ -54,7 +54,7 @@ class Occluder:
 
         Args:
             xyz: (P, 3) points on the mesh, in front of the camera.
-            normals: (P, 3) outward unit normals, which point towards the camera.
+            normals: (P, 3) outward unit normals. The surface must face the camera at each point.
             camera: pinhole camera.
         """
         centre, axes = camera.centre.astype(np.float32), camera.rotation.astype(np.float32)
