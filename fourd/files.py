@@ -64,9 +64,9 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
 def atomic_folder(target: Path) -> Iterator[Path]:
     """Yield a temporary folder beside ``target``, which replaces the folder ``target`` if the ``with`` block succeeds.
 
-    If the ``with`` block raises an exception, the temporary folder is removed and ``target`` is unchanged. An existing
-    ``target`` is first renamed. Then the temporary folder is renamed to ``target``, and the old folder is removed.
-    ``target`` is therefore missing only for a moment.
+    If the ``with`` block raises an exception, the temporary folder is removed and ``target`` is unchanged. If the block
+    succeeds, an existing ``target`` is renamed, then the temporary folder is renamed to ``target``, and finally the old
+    folder is removed. ``target`` is therefore missing only for a moment, between the two renames.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f"{UNFINISHED}{target.name}-"))
@@ -201,7 +201,7 @@ def try_lock(descriptor: int) -> bool | None:
 
 
 def _fsync(path: Path) -> None:
-    """Write a file or the entries of a folder to the disk."""
+    """Flush a file's content, or a folder's list of entries, to the disk. Does nothing for a folder on Windows."""
     if sys.platform == "win32" and path.is_dir():
         return
     descriptor = os.open(path, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)

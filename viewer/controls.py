@@ -44,8 +44,8 @@ _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 def handle_navigation(session: Session, window_height: float, seconds: float) -> bool:
     """Move the pose by mouse and keys, unless the panel uses the input. ``window_height`` is in window coordinates.
 
-    Returns True if the pose has changed. The caller cannot rely on window events for this, because a key that is held
-    down moves the pose but produces no event.
+    Returns True if the pose has changed. Window events do not report every change: a key that is held down moves the
+    pose but produces no event.
     """
     io = imgui.get_io()
     if session.pose is None:

@@ -113,7 +113,8 @@ class Session:
         self._announce_estimates()
 
     def set_layers(self, layers: int) -> None:
-        """Set the number of layers K for this scene and for scenes that are opened later."""
+        """Set the number of layers K, the maximum number of points composited per pixel, for this scene and for scenes
+        that are opened later."""
         self._has_user_layers = True
         self.settings = replace(self.settings, layers=layers)
 

@@ -23,7 +23,7 @@ class Timings:
 
     @contextmanager
     def measure(self, part: str) -> Iterator[None]:
-        """Measure the duration of a ``with`` block, and add it to ``part`` of the current image."""
+        """Measure the duration of a ``with`` block, and add it to the current image's time for the part ``part``."""
         started = time.perf_counter()
         try:
             yield

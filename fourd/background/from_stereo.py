@@ -40,8 +40,8 @@ def seed_from_stereo(
 
     Args:
         plates: clean plates of at least two cameras.
-        points: requested number of points, at least 1. If the plates have few visible pixels, the result has fewer
-            points than requested.
+        points: requested number of points, at least 1. If the plates show the background at few pixels, the result has
+            fewer points than requested.
         fill: whether to extrapolate depth into areas where stereo finds no match.
         seed: seed of the random numbers.
         workers: number of worker processes.

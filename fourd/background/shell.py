@@ -161,8 +161,9 @@ def _select_cells(sphere: DirectionGrid, known: Bools) -> tuple[NDArray[np.intp]
     Near known cells, the density of the selected cells is uniform over the sphere. Far from known cells, it is lower.
 
     Returns:
-        flat indices (N,) of the selected cells; for each of them, the step (N,), in columns, between the cells that are
-        selected in its part of its row; and a bool mask (N,), true for selected cells near known cells.
+        flat indices (N,) of the selected cells; for each of them, the spacing (N,), in columns, of the selected cells
+        around it in its row, which is larger near the poles and far from known cells; and a bool mask (N,), true for
+        selected cells near known cells.
     """
     grid, degrees = _close_gaps(sphere, known)
     wider = np.pad(grid, ((1, 1), (1, 1)), mode="wrap")

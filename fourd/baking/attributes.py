@@ -107,7 +107,8 @@ ATTRIBUTES = (
 
 
 def _valid_halves(bits: NDArray[np.uint16], values: Values) -> bool:
-    """Return True if all values of a float16 array are valid. ``bits`` contains their bit patterns.
+    """Return True if all values of a float16 array are in the range that ``values`` names, see :data:`Values`.
+    ``bits`` contains the bit patterns of the array.
 
     Comparing bit patterns is several times faster than comparing floats.
     """

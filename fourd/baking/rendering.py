@@ -33,7 +33,7 @@ class RenderedImage:
     depth: NDArray[np.float32]
 
     def to_uint8(self) -> NDArray[np.uint8]:
-        """Convert ``rgb`` to (H, W, 3) uint8. Values are rounded to the nearest integer."""
+        """Return ``rgb`` as (H, W, 3) uint8. Values are multiplied by 255 and rounded to the nearest integer."""
         return np.round(self.rgb * 255).astype(np.uint8)
 
 

@@ -52,7 +52,8 @@ class Clock:
     def time(self, work: Work, repeats: int = 1) -> Timing:
         """Time ``work`` after one warm-up run.
 
-        ``work`` runs its computation ``repeats`` times; the result is the time of one repeat.
+        One call of ``work`` must repeat its computation ``repeats`` times. The measured time of a call is divided by
+        ``repeats``.
         """
         first = _time_ms(work)
         runs = max(self._min_runs, min(self._max_runs, int(1000 * self._seconds / max(first, 0.1))))

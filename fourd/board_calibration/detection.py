@@ -90,7 +90,8 @@ class BoardDetector:
 
     @property
     def _patch_squares(self) -> float:
-        """Half the side length of the patch around a corner, in squares. The patch ends before the markers."""
+        """Half the side length, in board squares, of the patch in which a corner is located to sub-pixel accuracy. The
+        patch does not reach the markers."""
         if self.board.marker_m is None:
             return CHESSBOARD_PATCH
         return MARKER_CLEARANCE * (1 - self.board.marker_m / self.board.square_m) / 2

@@ -31,7 +31,17 @@ INK, GRID, CAMERA, BOARD = (60, 60, 60), (225, 225, 225), (170, 80, 20), (120, 1
 
 @dataclass(frozen=True)
 class _View:
-    """A panel of the drawing: the world axes that point right and up, and their signs and names."""
+    """A panel of the drawing, which shows the rig along one world axis.
+
+    The attributes except ``title`` have two values: one for the world direction that points right in the panel, and one
+    for the world direction that points up.
+
+    Attributes:
+        title: title of the panel.
+        axes: index of the world axis that is parallel to each direction.
+        signs: 1 if the direction is that of the axis, and -1 if it is the opposite direction.
+        labels: name of each direction, such as "-y".
+    """
 
     title: str
     axes: tuple[int, int]

@@ -1,7 +1,8 @@
 """Repair of a given calibration. Corrections are kept only if they reduce the residuals of held-out matches.
 
 The cameras are fitted to the matches of two thirds of the feature tracks. The matches of the other tracks are held out:
-their residuals determine whether a correction is kept. The first correction mirrors principal points (see
+their residuals determine whether a correction is kept. The first correction reverses an error of programs that rotate
+calibrations by 90 degrees: it mirrors principal points about the image centre (see
 :mod:`fourd.calibration.principal_points`). Three bundle adjustments follow. The first changes only poses, the second
 also focal lengths, and the third also principal points.
 """

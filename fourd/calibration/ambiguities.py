@@ -127,7 +127,7 @@ class _SizeResolver:
         return name, [note], matches
 
     def _check_option(self, asked: str | None, resized: Sequence[int]) -> None:
-        """Check that the hypothesis ``asked`` of how images were resized explains the sizes of all resized images.
+        """Check that the size hypothesis named ``asked`` explains the sizes of all resized images.
 
         If ``asked`` is None, check that at least one hypothesis explains the sizes of all resized images.
 

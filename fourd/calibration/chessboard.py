@@ -38,9 +38,10 @@ def board_pose(picture: Picture, camera: Camera, board: Board) -> Camera:
 
     The origin is at one of the four outermost inner corners. The x axis points along the side with ``columns`` inner
     corners, the y axis along the side with ``rows`` inner corners, and the z axis from the board towards the camera.
-    The square that touches the origin on the +x and +y side is black. If ``columns + rows`` is odd, the origin is the
-    same in all views. If ``columns + rows`` is even, the board looks the same after a rotation by 180 degrees, so the
-    origin may be at either of two opposite corners.
+    If ``columns + rows`` is odd, the square that touches the origin on the +x and +y side is black, so the origin is
+    the same in all views. If ``columns + rows`` is even, the square can have either colour. The board then looks the
+    same after a rotation by 180 degrees, so the origin may be at either of two opposite corners. If ``columns`` and
+    ``rows`` are equal, it may be at any of the four corners.
 
     Args:
         picture: distorted RGB image (H, W, 3) uint8.

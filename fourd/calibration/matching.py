@@ -113,8 +113,8 @@ def inlier_mask(matches: Matches, width: int, height: int, tolerance_px: float =
 
     Matches of points on one plane do not determine the fundamental matrix: there is always a fundamental matrix that
     fits all of them and any two further matches, even wrong ones. Therefore, if a homography was accepted, the test of
-    the fundamental matrix ignores the inliers of all accepted homographies, and does not count two of the other
-    inliers as evidence.
+    the fundamental matrix ignores the inliers of all accepted homographies. Of the remaining inliers, two are no
+    evidence, because any two matches would fit.
 
     Args:
         matches: M matches in pixels of the undistorted images.

@@ -136,7 +136,7 @@ def _to_picture_px(camera: Camera, patch: PlanePatch, raster_px: Array) -> Array
 def _search(
     raster: Picture, other: Picture, x: int, y: int, search_radius: int
 ) -> tuple[float, float, float, float] | None:
-    """Search the rectified image ``other`` for the patch around (x, y) in the rectified image ``raster``.
+    """Search the rectified image ``other`` for the window around the pixel (x, y) of the rectified image ``raster``.
 
     Returns:
         (x, y) and the subpixel position of the match in ``other``, or None if the correlation has no distinct peak.

@@ -114,7 +114,7 @@ def _reconstruct(
     """Reconstruct with COLMAP and return the model with the most cameras; ``frames[k]`` contains frame k's images.
 
     Each camera is one COLMAP image that contains the features of all its frames. A static feature that is found in
-    several frames is stored once. Features are matched only between images of the same frame.
+    several frames is stored once. Features of two cameras are matched only if both were found in the same frame.
     """
     pycolmap.set_random_seed(seed)
     keypoints: list[Array] = [np.zeros((0, 2))] * len(frames[0])

@@ -231,9 +231,9 @@ def _probe(path: Path) -> VideoIndex:
 class VideoReader:
     """Reads frames of a video by number.
 
-    Reading frames in ascending order decodes each frame once. In other orders, the reader seeks to the last keyframe
-    before the requested frame, and decodes all frames from the keyframe on. Close the reader after use, or use it as a
-    context manager. The reader is not thread-safe.
+    Reading frames in ascending order decodes each frame once. In other orders, the reader seeks to the last keyframe at
+    or before the requested frame, and decodes all frames from this keyframe to the requested frame. Close the reader
+    after use, or use it as a context manager. The reader is not thread-safe.
     """
 
     def __init__(self, path: Path, index: VideoIndex, threads: int = 0) -> None:

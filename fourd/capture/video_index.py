@@ -40,8 +40,8 @@ def cached_indices(files: Mapping[str, Path], folder: Path, track: Track) -> dic
 
 
 def index_capture(capture: Path, names: Sequence[str] | None, track: Track) -> None:
-    """Create the indices of all videos that the capture's video list ``capture``/videos.json does not contain, and
-    store them in the cache file ``capture``/.fourd/videos.json.
+    """Index the videos of a capture, and store the indices in the cache file ``capture``/.fourd/videos.json. Videos in
+    the capture's video list ``capture``/videos.json are skipped, because the list already contains their indices.
 
     When all indices are stored, opening the capture does not read whole videos. The function does nothing if the
     capture has image files or its folder is not writable.

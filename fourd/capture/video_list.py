@@ -95,8 +95,9 @@ class Video:
 def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, Video]:
     """List the videos in ``capture``/videos, keyed by camera name.
 
-    A video's index is read from videos.json, or else from the cache file .fourd/videos.json. If neither file contains
-    the video, its index is created but not cached. :func:`fourd.capture.video_index.index_capture` caches indices.
+    The index of a video, which contains its frame size, frame times and keyframes, is read from videos.json, or else
+    from the cache file .fourd/videos.json. If neither file contains the video, its index is created but not cached.
+    :func:`fourd.capture.video_index.index_capture` caches indices.
 
     Args:
         capture: the capture's folder.

@@ -214,7 +214,10 @@ def removed_shares(views: Silhouettes, half: float) -> list[float]:
 
 
 def candidate_cells(views: Silhouettes, half: float) -> tuple[NDArray[np.float32], float]:
-    """Find the cells that may contain the object, and subdivide them until COARSE_CELLS cells span the object.
+    """Find the grid cells that may contain the object.
+
+    The cells are subdivided until the longest side of their common bounding box is at least COARSE_CELLS cells long, or
+    until a cell's side is below ``half / 4096``. ``half`` is half the side of the search cube in world units.
 
     Returns:
         centres (3, N) of the cells, and the side length of a cell in world units.

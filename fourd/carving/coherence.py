@@ -53,10 +53,12 @@ def frame_coherence(
     agreement: float = 0.95,
     least_views: float = 1 / 2,
 ) -> FrameCoherence:
-    """Compare the mattes of one frame with the silhouettes of their visual hulls.
+    """Compare the mattes of one frame with the silhouettes of two kinds of visual hulls: the hull of all views, and,
+    for each view, the hull of all other views.
 
-    The hulls consist of cells. The cells are subdivided until at least :data:`~fourd.carving.bounds.COARSE_CELLS` of
-    them span the object's longest side, and then until there are more than MAX_CELLS.
+    All hulls consist of cubic cells of the same size. First, the cells are subdivided until at least
+    :data:`~fourd.carving.bounds.COARSE_CELLS` of them span the object's longest side. If there are then at most
+    MAX_CELLS cells, they are subdivided further, until there are more.
 
     Args:
         masks: mattes (H, W) uint8, one per camera; 255 is the object. At least 2 mattes are required.

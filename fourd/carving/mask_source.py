@@ -32,7 +32,7 @@ class MaskSource(Protocol):
 
     @property
     def frame_numbers(self) -> tuple[int, ...]:
-        """Number of each frame in the whole capture. The first number may be greater than 0."""
+        """Indices of the selected frames in the whole capture. The first index may be greater than 0."""
 
     def mask(self, camera: int, frame: int) -> NDArray[np.uint8]:
         """Return the matte (H, W) uint8; 255 is the object."""

@@ -25,8 +25,9 @@ def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -
     """Find the cells of side length ``size`` that may intersect the surface inside a box, and return their centres
     (3, N).
 
-    Larger cells are tested, and those that may intersect the surface are subdivided. All cells of side length ``size``
-    that result are returned, without another test. The coordinates are relative to the origin of ``views``.
+    The search starts with larger cells. Those that may intersect the surface are subdivided repeatedly, until the cells
+    have the side length ``size``. These smallest cells are not tested: all of them are returned. The coordinates are
+    relative to the origin of ``views``.
     """
     longest = float((upper - lower).max())
     levels = max(0, int(np.log2(max(longest / size / 6, 1))))

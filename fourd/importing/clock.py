@@ -46,7 +46,8 @@ def describe_pictures(videos: Mapping[str, Video]) -> list[str]:
 
 
 def describe_clock(videos: Mapping[str, Video]) -> list[str]:
-    """Return notes on frame rates, the error of frame times, unused frames and long keyframe intervals."""
+    """Return notes on frame rates, unused frames, long keyframe intervals, and the largest difference between the time
+    of a frame of the capture and the time of the video frame that is used for it."""
     if not videos:
         return []
     rate = next(iter(videos.values())).rate

@@ -77,9 +77,10 @@ def match_calibrations(
 ) -> tuple[tuple[ImportedCamera, ...], list[str]]:
     """Turn and scale down each calibration in the same way as the frames of its video.
 
-    If ``meant`` is "auto", the orientation (landscape or portrait) of the calibrated images decides: if only the stored
-    frames of the video have the same orientation, the calibration belongs to the stored frames. In all other cases, it
-    belongs to the turned frames, which OpenCV and video players show.
+    A calibration belongs either to the stored frames of the video or to the turned frames, which OpenCV and video
+    players show. If ``meant`` is "auto", the orientation (landscape or portrait) of the calibrated images decides. The
+    calibration belongs to the stored frames if these have the same orientation as the calibrated images, and the turned
+    frames have the other orientation. In all other cases, it belongs to the turned frames.
 
     Args:
         cameras: the source's cameras.

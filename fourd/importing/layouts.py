@@ -63,7 +63,8 @@ class Layout:
     refused: tuple[str, ...]
 
     def read(self, source: Path) -> Imported:
-        """Read the cameras. Notes name the calibration, the frames, and the calibration files that are not used."""
+        """Read the cameras. The notes of the result list the calibration file, the folder of the frames if it is not
+        ``source``, and the calibration files that are not used."""
         imported = self.format.read(self.calibration, self.frames)
         notes = [f"calibration: {self.calibration}"]
         notes += [f"frames: {self.frames}"] if self.frames != source else []

@@ -144,7 +144,8 @@ def find_offsets(
     """Estimate from motion how much each camera is delayed relative to the first camera. Plot the delays to
     ``out``/.fourd/sync.png.
 
-    The maximum offset is a third of the number of frames that all cameras have, and at most 300 frames.
+    The maximum offset is n // 3, n - MIN_OVERLAP or MAX_OFFSET_FRAMES, whichever is smallest, where n is the number of
+    frames of the camera with the fewest frames.
 
     Raises:
         UserError: when there are too few frames, or a frame cannot be decoded.

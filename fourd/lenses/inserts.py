@@ -27,15 +27,16 @@ class Branch:
 
 @dataclass(frozen=True)
 class MirrorFloor:
-    """A round mirror that lies in a plane.
+    """A round mirror that lies in a plane, such as a polished floor. A ray that meets the mirror gets the light r * A +
+    (1 - r) * B, where r is the reflectivity, A is the reflected light, and B is the mirror's own colour.
 
     Attributes:
         centre: (3,) position in world units.
         normal: (3,) unit normal of the reflecting side. It points from the mirror towards the objects that the mirror
             reflects.
         radius: radius in world units, above 0.
-        reflectivity: fraction of the light that is reflected, from 0 to 1. The rest of the light comes from the floor.
-        colour: RGB colour of the floor, in [0, 1].
+        reflectivity: the number r, from 0 to 1.
+        colour: the mirror's own RGB colour B, in [0, 1].
     """
 
     centre: Array
@@ -55,8 +56,8 @@ class MirrorFloor:
         return np.where((away < 0) & (height > 0) & (distance <= self.radius), t, np.inf)
 
     def leave(self, points: Array, directions: Array) -> tuple[list[Branch], Array]:
-        """Return the reflections of the rays that arrive at ``points``, and the light (R, 3) that comes from the
-        floor."""
+        """Return the reflections of the rays that arrive at ``points``, and the light (R, 3) that the mirror's own
+        colour adds."""
         reflected = directions - 2 * (directions @ self.normal)[:, None] * self.normal
         share = np.full(len(points), self.reflectivity)
         light = (1 - share)[:, None] * np.asarray(self.colour)

@@ -30,7 +30,7 @@ light."""
 
 @dataclass(frozen=True)
 class _Traced:
-    """The objects that rays can hit: the points of a frame, and inserts."""
+    """The objects that rays can hit: the points of a frame, and inserts (mirrors and glass balls)."""
 
     tree: DiscTree
     colours: NDArray[np.float32]

@@ -56,7 +56,7 @@ def write_contact_sheet(
 
     Args:
         capture: capture with mattes.
-        path: PNG file to write atomically. The suffix of the path is ignored.
+        path: file to write atomically. It is a PNG file even if the path has another suffix.
         cameras: indices into ``capture.names``, or None for at most 8 evenly spaced cameras.
         columns: number of evenly spaced frames, at least 1. If the capture has fewer frames, all frames are shown.
         track: progress callback.

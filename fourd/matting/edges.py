@@ -156,9 +156,10 @@ def _posterior_alpha(
     ``front`` contains the mean and the variance (N, 3) of the subject's colour at each pixel, and ``back`` contains the
     same values for the background's colour. ``deviation`` is the standard deviation of alpha around ``prior`` (N,).
 
-    The light on the subject has a Gaussian distribution, so the covariance of a colour is the sum of a diagonal matrix
-    and the outer product of one vector with itself. Its inverse and determinant follow from the Sherman-Morrison
-    formula and the matrix determinant lemma.
+    In the model, the light on the subject is a Gaussian random variable that multiplies all channels of the subject's
+    colour. The other errors of the channels are independent. The covariance of a colour is therefore the sum of a
+    diagonal matrix and the outer product of one vector, the deviation that the light causes, with itself. The inverse
+    and the determinant of the covariance follow from the Sherman-Morrison formula and the matrix determinant lemma.
     """
     value, front_mean, back_mean = value @ LUMA_CHROMA.T, front[0] @ LUMA_CHROMA.T, back[0] @ LUMA_CHROMA.T
     front_variance, back_variance = front[1] @ np.square(LUMA_CHROMA.T), back[1] @ np.square(LUMA_CHROMA.T)

@@ -93,7 +93,8 @@ class MatteOutput:
     def prepare(self) -> None:
         """Delete models whose key is not ``model_key``, and unfinished files of killed processes.
 
-        The models are kept if only the painted images have changed, because ``model_key`` does not depend on them.
+        The models are kept if only the images in which the user paints corrections have changed, because ``model_key``
+        does not depend on these images.
         """
         state = MatteState.read(self.capture)
         remove_unfinished(self.folder.parent)

@@ -222,7 +222,7 @@ def _versions(paths: Sequence[Path]) -> Iterator[str]:
 
 
 def _learn_subject_model(capture: Capture, settings: MatteSettings, path: Path, track: Track) -> None:
-    """Learn the subject and the backgrounds, and write them to ``path``."""
+    """Learn the models of the subject and of each camera's background, and write them to ``path``."""
     samples = sample_capture(capture, track)
     subject = learn_subject(samples, capture.names, settings.seed, track)
     cameras = matting_cameras(capture)

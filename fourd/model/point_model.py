@@ -53,8 +53,8 @@ class EvaluatedPoints:
         displacement: (N, 3) displacement by the residual field, which ``xyz`` already includes; None if the model has
             no residual field.
         features: outputs of the first layers of the heads.
-        sh: (N, 3, 16) SH coefficients, from the MLP or optimised for each point; None if the model uses no SH. See
-            :meth:`PointModel.harmonics` for the coefficients outside training.
+        sh: (N, 3, 16) SH coefficients, from the MLP or optimised for each point; None if the model uses no SH. Outside
+            training, :meth:`PointModel.harmonics` scales those of degrees 2 and 3, unless the model uses only SH.
         rgb: (N, 3) the points' own colours, which are the same in all views. The colours of the views are mixed with
             ``rgb``; see ``mix_own_colours``. If ``rgb`` is None, only the colours of the views are used.
     """
@@ -135,8 +135,8 @@ class PointModel(nn.Module):
 
     @property
     def sh_range(self) -> float:
-        """Maximum absolute value of the colour from SH. If the model uses only SH, it is 0.75, so that every colour in
-        [0, 1] can be reached."""
+        """Maximum absolute value of the colour from SH, before :attr:`sh_base` is added. If the model uses only SH, the
+        maximum is 0.75 and ``sh_base`` is 0.5, so that the sum can reach every colour in [0, 1]."""
         return 0.75 if self.config.appearance == "sh" else self.config.sh_range
 
     def evaluate(

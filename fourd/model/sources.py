@@ -78,9 +78,9 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
         sources: the source views.
         features: (V, C, h, w) features of ``sources`` from the image encoder, at the encoder's resolution; None to
             sample only RGB.
-        softness: (N,) decay length s of each point's occlusion factor, in world units. For a point at depth z behind
-            the nearest surface in the view, the factor is ``exp(-max(0, z / s - 2))``. No gradient is computed for
-            ``softness``.
+        softness: (N,) decay length s of each point's occlusion factor, in world units. Let z be the point's depth in
+            the view minus the depth of the nearest surface at the point's projection. The factor is
+            ``exp(-max(0, z / s - 2))``. No gradient is computed for ``softness``.
     """
     cameras = _pack_cameras(sources.cameras)
     views = (sources.images, sources.mattes, sources.depth)

@@ -16,7 +16,7 @@ _SPREAD = (
     (4, 0x10C30C30C30C30C3),
     (2, 0x1249249249249249),
 )
-"""Pairs (shift, mask) for the steps that insert two zero bits before each of the MAX_BITS lowest bits of a number."""
+"""Pairs (shift, mask) for the steps that move bit b of a number to bit 3 * b, for its MAX_BITS lowest bits."""
 _LOWEST_BITS = 2**MAX_BITS - 1
 
 
@@ -38,7 +38,7 @@ def morton_codes(cells: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def spread_bits(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Insert two zero bits before each of the 21 lowest bits of every value."""
+    """Move bit b of every value to bit 3 * b. The values are below 2^21, and all other bits of the results are 0."""
     for shift, mask in _SPREAD:
         values = (values | values << np.uint64(shift)) & np.uint64(mask)
     return values

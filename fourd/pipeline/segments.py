@@ -139,7 +139,8 @@ def run_segment(files: SegmentFiles, config: TrainConfig, context: Context) -> N
 
 
 def _prepare_segment(files: SegmentFiles, config: TrainConfig) -> None:
-    """Start the run of a segment, unless it exists."""
+    """Prepare the folder of a segment's run for training. Write the run's initial points and config unless they exist.
+    If there is a previous segment and the run has no checkpoint yet, write one with the previous segment's networks."""
     remove_leftovers(files.segment)
     if not (files.segment / CONFIG_NAME).exists():
         with open_run(files.run) as whole:

@@ -129,8 +129,8 @@ class Stage(Generic[Files, Settings]):
         outputs: paths that ``work`` writes. They all exist when the stage has finished.
         leftovers: files to remove before ``work`` starts with a new key.
         after: names of stages that must finish before this stage. Their keys are part of this stage's key.
-        is_parallel: whether the stage may run at the same time as adjacent parallel stages in the graph. A stage never
-            runs at the same time as the stages in its ``after``.
+        is_parallel: whether the stage may run at the same time as other parallel stages that directly precede or follow
+            it in the order of execution. A stage never runs at the same time as the stages in its ``after``.
         is_portable: whether the stage can run on a machine that shares no folder with the machine that created the
             stage.
         has_checkpoints: whether the stage writes checkpoints, from which another machine can continue its work.

@@ -65,8 +65,8 @@ def render_points(
         camera: a pinhole camera without lens distortion.
         layers: maximum number of points that are composited per pixel.
         near: points with a camera depth below ``near`` world units are culled. Points are also culled if their radius
-            or density is not positive, or if one of their values or their projection is not finite. Culled points have
-            zero gradients.
+            or density is not positive, or if their position, radius, density or projection is not finite. Culled
+            points have zero gradients.
         background: (C,) or (H, W, C) background features, added with the weight 1 - alpha. None means 0.
         backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
             float32 kernels, or "auto" for the kernels for the tensors' device.

@@ -93,7 +93,8 @@ def upload_changed(path: Path, url: StorageUrl, record: Path, track: Track = unt
     Args:
         path: the local file.
         url: the object.
-        record: JSON file with the states of the local file and of the object after the last upload.
+        record: JSON file that is written after each upload. It has the URL, the size and modification time of the local
+            file, and the version of the object.
         track: reports progress.
 
     Raises:

@@ -205,9 +205,9 @@ class Style:
             ``shading`` is "none". Gooch shading instead adds ``albedo`` times the captured colour to the shade colour.
         base: colour that makes up the fraction ``1 - albedo`` of the surface colours if ``shading`` is "none".
         paper: colour behind the scene, or None for the image's background colour.
-        persistence: weight of the previous image in a running average over the images while the camera does not move,
-            from 0 to 0.95. The depths, the normals and the strengths of lines are averaged, but a line that becomes
-            weaker gets its new strength at once.
+        persistence: weight of the previous image in a running average of inverse depths, normals and line strengths,
+            from 0 to 0.95. These are averaged while the camera does not move, at pixels where the surface does not move
+            either. A line that becomes weaker gets its new strength at once.
         hysteresis: fraction by which line thresholds are reduced where the previous image has a line.
     """
 

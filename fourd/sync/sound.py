@@ -80,10 +80,11 @@ class SoundOffsets:
         seconds: offsets. A sound at the time t of the first camera's video is at the time t + offset of the other
             camera's video.
         confidence: confidence of each offset in [0, 1]. A camera's confidence is the mean confidence of the better half
-            of the pairs of cameras that include it. A pair's confidence rises from 0 to 1 while the peak of the
-            correlation rises from 10 to 20 standard deviations of the correlation. It is reduced if another peak, more
-            than 60 ms away, is higher than 3/4 of the highest peak. The confidence of a pair is 0 if its lag differs by
-            more than 3 ms from the difference of the two cameras' offsets.
+            of the pairs of cameras that include it. A pair's confidence depends on the height of the correlation's
+            highest peak: it is 0 up to 10 standard deviations of the correlation, 1 from 20 standard deviations on, and
+            linear in between. It is reduced if another peak, more than 60 ms away, is higher than 3/4 of the highest
+            peak. The confidence of a pair is 0 if its lag differs by more than 3 ms from the difference of the two
+            cameras' offsets.
         sigmas: for each camera, height of the highest correlation peak among its pairs, in standard deviations of the
             correlation.
     """

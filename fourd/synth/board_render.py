@@ -49,8 +49,9 @@ class Optics:
 class BoardRenderer:
     """Renders one board as seen by one camera.
 
-    The ray of each sample is undistorted numerically, and then intersected with the plane of the board. The only error
-    of the image comes from the limited resolution of the board's pattern, whose pixels are 1/96 of a square wide.
+    The ray of each sample is undistorted numerically, and then intersected with the plane of the board. Apart from the
+    intended blur and noise, the image has errors only because its pixels have few samples, and because the pattern of
+    the board has a limited resolution: 96 texels per side of a square of the pattern.
     """
 
     def __init__(self, board: CalibrationBoard, camera: Camera, optics: Optics) -> None:

@@ -1,4 +1,5 @@
-"""Surface colours as functions of the position in the coordinates of a part, so that the colours move with the part."""
+"""Surface colours of the parts of the synthetic figure. The colours are functions of the position in the part's own
+coordinates, so that they move with the part."""
 
 from __future__ import annotations
 

@@ -190,8 +190,9 @@ def _normals(part: Part, local: Array) -> Array:
     not normalised.
 
     Before scaling, the part is the union of spheres whose centres lie on the segment between the centres of its two end
-    spheres. Their radii change linearly from one end to the other. One of these spheres touches the surface at the
-    surface point. The normal is the vector from the centre of this sphere to the surface point.
+    spheres. The radii of the spheres in this union change linearly from one end to the other. One of these spheres
+    touches the surface at the surface point. The normal is the vector from the centre of this sphere to the surface
+    point.
     """
     normal = local.copy()
     if part.length > 0:

@@ -81,7 +81,7 @@ class RateConfig:
 
 @dataclass(frozen=True)
 class BackgroundConfig:
-    """The static background of a full scene."""
+    """The static background of a full scene (`scene: full`)."""
 
     points: int = 200_000
     """Maximum number of background points, not counting the shell. The shell consists of coarse points in the
@@ -136,7 +136,7 @@ class BackgroundConfig:
 
 @dataclass(frozen=True)
 class DensifyConfig:
-    """Splitting and removal of points in full scenes."""
+    """Splitting and removal of points in a full scene (`scene: full`)."""
 
     on: bool = True
     """Split and remove points during training."""

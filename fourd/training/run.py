@@ -173,9 +173,9 @@ class Run:
     def view_store(self, device: torch.device = CPU) -> ViewStore:
         """Open the store of images for training on ``device``.
 
-        For training on a GPU, the cache size is an eighth of the free GPU memory, but at least the size in the config.
-        A large cache is needed because decoding an image takes longer than a step on a GPU. The cached images are in
-        CPU memory, where they fit because CPU memory is rarely smaller than GPU memory.
+        The store caches decoded images in CPU memory. Training on a GPU needs a large cache, because decoding an image
+        takes longer than a step on a GPU. For such training, the size of the cache is therefore an eighth of the free
+        GPU memory, but at least the size in the config. This fits because CPU memory is rarely smaller than GPU memory.
         """
         train = self.config.train
         cache_mb = train.memory_mb if device.type != "cuda" else max(train.memory_mb, _free_gpu_mb(device) // 8)

@@ -32,11 +32,11 @@ def prune_and_grow(
     Args:
         soup: the triangles, which are changed in place.
         weights: (T,) maximum compositing weight of each triangle since the last call.
-        priority: (T,) nonnegative numbers. Triangles are drawn for growth with probabilities proportional to these
-            numbers.
+        priority: (T,) nonnegative numbers. The triangles to split or duplicate are selected at random, with
+            probabilities proportional to these numbers.
         cameras: training cameras.
         most: maximum number of triangles.
-        generator: random generator for the draws.
+        generator: random generator for this selection and for the offsets of duplicates.
     """
     opacity = soup.opacity(0.0)
     kept = torch.nonzero((weights >= MIN_WEIGHT) & (opacity > MIN_OPACITY))[:, 0]

@@ -29,8 +29,9 @@ class Neighbours:
     @staticmethod
     @torch.no_grad()
     def of(corners: Tensor) -> Neighbours:
-        """Pair each triangle with those of its NEIGHBOURS nearest triangles whose normals differ from its own normal by
-        less than 90 degrees. ``corners`` (T, 3, 3) are the vertices of all triangles."""
+        """Find the K nearest triangles of each triangle, where K is :data:`NEIGHBOURS`, and pair the triangle with
+        those of them whose normals differ from its own normal by less than 90 degrees. ``corners`` (T, 3, 3) are the
+        vertices of all triangles."""
         centres, normals = corners.mean(dim=1), unit_normals(corners)
         count = min(NEIGHBOURS + 1, len(corners))
         tree = cKDTree(centres.numpy())

@@ -39,8 +39,9 @@ class SurfaceFit:
         settings: TriangleSettings,
         generator: torch.Generator,
     ) -> None:
-        """Start with a mesh, given as vertices (V, 3), colours (V, 3) and triangles (M, 3). ``side`` is its resolution,
-        as a length in world units."""
+        """Start with a mesh, given as vertices (V, 3), colours (V, 3) and triangles (M, 3). ``side`` is a length in
+        world units: for a joined mesh, the side of the grid cells from which it was extracted; for separate triangles,
+        the initial distance between neighbouring triangles."""
         xyz, rgb, self.tri = mesh
         self.xyz, self.rgb = AdamRows(xyz, POSITION_RATE * side), AdamRows(rgb, COLOUR_RATE)
         self._side, self._settings = side, settings

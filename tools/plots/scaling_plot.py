@@ -117,7 +117,7 @@ def measure(
 
 
 def plot(series: list[Series], path: Path) -> None:
-    """Draw one log-log plot per axis, with a reference line of slope 1."""
+    """Draw one log-log plot for each varied quantity (see :class:`Series`), with a reference line of slope 1."""
     matplotlib.use("Agg")
     from matplotlib import pyplot
 

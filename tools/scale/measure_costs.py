@@ -71,7 +71,7 @@ CASES = (
 
 @dataclass(frozen=True)
 class Measured:
-    """CPU seconds and bytes of one case."""
+    """Costs of one case: the CPU seconds of its stages, and the sizes in bytes of the files that they write."""
 
     case: Case
     image_mp: float

@@ -3,11 +3,12 @@
     python tools/scale/simulate_cluster.py --nodes 16 --failures 8
     python tools/scale/simulate_cluster.py --nodes 2 --frames 18000 --seconds 0.2
 
-The simulated stages only wait (:mod:`tools.scale.simulated_stages`), but the stage graph, the runner, the tasks and the
-retries are the same as in ``fourd make``. Each simulated node consists of the processes of a real Ray node. A failure
-kills all processes of a random node and adds a new node. The program compares the scene with that of an uninterrupted
-run without a cluster. The work of a simulated stage consists of units, each of which stands for the work between two
-checkpoints. The program also counts the units that were lost and repeated, and monitors memory and the progress bar.
+The simulated stages sleep instead of doing the real work (:mod:`tools.scale.simulated_stages`), but the stage graph,
+the runner, the tasks and the retries are the same as in ``fourd make``. Each simulated node consists of the processes
+of a real Ray node. A failure kills all processes of a random node and adds a new node. The program compares the scene
+with that of an uninterrupted run without a cluster. The work of a simulated stage consists of units, each of which
+stands for the work between two checkpoints. The program also counts the units that were lost and repeated, and monitors
+memory and the progress bar.
 """
 
 from __future__ import annotations

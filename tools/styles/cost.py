@@ -11,7 +11,8 @@ the median time of an image without a style and, for each style,
 - the median ratio of the times with and without the style,
 - the time of the stylizer, which computes the style's colours and lines from the colour, depth and normal of each
   pixel; the rest of the added time is spent on the depths and normals of the points,
-- the median CPU time that the style adds, summed over all threads; it depends less on other programs.
+- the median CPU time that the style adds, summed over all threads; other running programs affect it less than the
+  elapsed times above.
 """
 
 from __future__ import annotations

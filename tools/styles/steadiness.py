@@ -193,8 +193,9 @@ def _normals_of_depth(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.
 
 
 def _is_same(first: Truth, second: Truth, reach: int) -> NDArray[np.bool_]:
-    """Return a mask (H, W) of the pixels around which, up to a distance of ``reach`` pixels, the true surface is the
-    same in both frames."""
+    """Return a mask (H, W) that is true where both frames show the same true surface, not only at the pixel itself but
+    also at all pixels up to ``reach`` rows and columns away. The surface at a pixel is the same if the depths and the
+    normals of the two frames are almost equal. Unknown normals are not compared."""
     a, b = first.inverse_depth, second.inverse_depth
     has_depth = np.abs(a - b) <= SAME_DEPTH * np.maximum(a, b)
     cosine = (first.normal * second.normal).sum(2)

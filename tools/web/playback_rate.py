@@ -159,7 +159,8 @@ class SlowServer(SiteServer):
         self._free_at = 0.0
 
     def wait_for(self, count: int) -> None:
-        """Wait until the connection has transferred ``count`` more bytes."""
+        """Sleep until a connection with the server's data rate would have transferred ``count`` bytes, after the bytes
+        of earlier calls."""
         with self._lock:
             start = max(self._free_at, time.monotonic() - CREDIT_SECONDS)
             self._free_at = start + count / self._bytes_per_second

@@ -61,7 +61,8 @@ class OverBackground:
     ) -> None:
         """Draw ``image`` into ``target`` as :meth:`Compositor.draw` does. The framebuffer ``target`` stays bound.
 
-        Outside ``region``, the image is empty, so pictures are drawn only inside.
+        The image is empty outside ``region``. If ``is_picture`` is True, ``target`` is therefore filled with the
+        background colour, and the image is drawn only inside ``region``.
         """
         if not is_picture:
             self.copy(image, target)

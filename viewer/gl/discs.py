@@ -30,13 +30,15 @@ _MAX_RANKS = 1 << 24
 
 
 class Discs:
-    """The discs of the visible points.
+    """The discs of the visible points. They are drawn as point sprites, or as quads if sprites may exceed the driver's
+    limits.
 
     Discs are stored in drawing order: nearest first or, if ``farthest_first`` is True, farthest first. Depth peeling
-    uses nearest first; there, the rank of a disc (its position in depth order, from 1) is its index plus 1. Sprites
-    that are drawn farthest first are stored in the order of the frame's points instead, and an index buffer contains
-    their drawing order. The vertex shader then reads the points in texel order, which takes half as long as reading
-    them in depth order.
+    uses nearest first; there, the rank of a disc (its position in depth order, from 1) is its index plus 1.
+
+    There is one exception: if sprites are drawn farthest first, the discs of all points are stored in the order of the
+    frame's points, and an index buffer contains the drawing order. The vertex shader then reads the points in the order
+    in which the textures store them, which takes half as long as reading them in depth order.
     """
 
     def __init__(

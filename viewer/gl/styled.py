@@ -115,7 +115,8 @@ class StyledDrawing:
     def with_normals(self, frame: BakedFrame, manifest: SceneManifest) -> BakedFrame:
         """Return the frame itself if it has normals, and otherwise a copy with estimated normals.
 
-        The copies of the last two frames are kept and returned again, because the renderer uploads every new object.
+        The copies of the last two frames are kept. Repeated calls with one of these frames return the same object,
+        because the renderer uploads a frame to the GPU again if it gets another object.
         """
         if frame.normals is not None:
             return frame

@@ -194,7 +194,8 @@ class _Rig:
     Attributes:
         focus: origin of the spherical coordinates (3,), in world units.
         axes: unit vectors as the rows of a (3, 3) matrix. The first row is horizontal and points towards the azimuth
-            of the first camera. The second row points sideways, and the third row points up.
+            of the first camera. The third row points up. The second row is the first row turned by 90 degrees,
+            counterclockwise as seen from above.
         azimuths: azimuths of the cameras in radians, (C,).
         distance: the cameras' median distance from the focus in world units.
         elevation: the cameras' median elevation in radians.

@@ -162,7 +162,7 @@ GROUPS: tuple[Group, ...] = (
 
 
 def edit_style(style: Style, report: Callable[[str], None]) -> Style:
-    """Draw the groups that have an effect, and return the style after the user's input.
+    """Draw the groups of widgets whose fields have an effect on ``style``. Return the style with the user's changes.
 
     If there is no input, the result equals ``style`` exactly, because widgets return unchanged values without rounding.
 

@@ -138,7 +138,8 @@ class FramePrefetcher:
         return True
 
     def _first_missing(self) -> int | None:
-        """Return the first frame, in playback order, that is not buffered and fits into the memory limit."""
+        """Of the next frames in playback order that together fit into the memory limit, return the first one that is
+        not buffered. Returns None if all of them are buffered, or if no frame has been requested yet."""
         if not self._has_started:
             return None
         upcoming = islice(self._playback_order(), self._capacity())

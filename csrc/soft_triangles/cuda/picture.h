@@ -94,9 +94,9 @@ FOURD_DEVICE static inline float float_of(std::uint32_t bits) {
     return value;
 }
 
-// Returns which triangles are used at a pixel, as a struct Nearest. If at most `layers` triangles hit the pixel, all of them are used. Otherwise, a
-// binary search finds the depth of the last triangle that is used. The search runs over the bits of the depths, read as
-// integers. Depths are positive, so their bits have the same order as the depths.
+// Returns which triangles are used at a pixel, as a struct Nearest. If at most `layers` triangles hit the pixel, all of
+// them are used. Otherwise, a binary search finds the depth of the last triangle that is used. The search runs over the
+// bits of the depths, read as integers. Depths are positive, so their bits have the same order as the depths.
 FOURD_DEVICE static inline Nearest find_nearest(const View& view, const EntryList& list, const Pixel& pixel) {
     Nearest out{view.softness.background_depth, kNoHit, 0};
     int hits = 0;

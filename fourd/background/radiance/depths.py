@@ -48,8 +48,8 @@ def add_field_depths(
     Let A be the number of other plates whose surfaces agree with a cell's depth, and O the number of other plates whose
     surfaces the cell would occlude. The cell is confirmed if A >= 1 and O <= A. Confirmed cells get support 1.
     Unconfirmed cells take the extrapolated depth of ``continued`` instead of the field's depth, for the following
-    reason. Where only one plate sees a surface, colours do not determine its depth, and the field only reproduces, with
-    noise, the extrapolated depth on which it was optimised.
+    reason. Where only one plate sees a surface, colours do not determine its depth. There, the field only reproduces,
+    with noise, the extrapolated depth, which is the target of its depth loss.
 
     Args:
         field: the optimised field.

@@ -1,4 +1,5 @@
-"""An occupancy grid that stores recent densities for importance sampling along rays."""
+"""An occupancy grid for importance sampling along rays. Each cell stores a decaying maximum of the densities that the
+radiance field had at points in the cell."""
 
 from __future__ import annotations
 

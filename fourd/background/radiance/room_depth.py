@@ -55,8 +55,8 @@ class Room:
 
     @staticmethod
     def from_surfaces(surfaces: Sequence[Surface], centre: Array) -> Room | None:
-        """Create the room around the world point ``centre`` (3,) from the known cells of ``surfaces``. Returns None if
-        no cell is known."""
+        """Create the room around the world point ``centre`` (3,) from the cells of ``surfaces`` whose depth is known.
+        Returns None if there are no such cells."""
         xyz = np.concatenate([surface.points(np.flatnonzero(surface.known)) for surface in surfaces])
         if not len(xyz):
             return None

@@ -26,7 +26,8 @@ def sample_coloured_points(
         plates: full-size plates from which the colours are sampled.
         reduced: the same plates at the size used for stereo.
         surfaces: one surface per plate.
-        points: requested number of points, at least 1. If the surfaces are small, the result has fewer.
+        points: requested number of points, at least 1. If the surfaces cover only few pixels of the plates, the result
+            has fewer points than requested.
         seed: random seed of the points' order.
 
     Returns:

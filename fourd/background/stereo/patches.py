@@ -1,4 +1,5 @@
-"""Photometric similarity of images for given planes: normalised cross-correlation of small windows.
+"""Photometric similarity of images under plane hypotheses. A hypothesis maps a small window of one image to another
+image. The similarity is the normalised cross-correlation of the two windows.
 
 A cell is one sample of a depth map. The cells form a regular grid over the image.
 """

@@ -25,9 +25,11 @@ points."""
 def find_large_planes(xyz: Array, weights: Array, distance: float, rng: np.random.Generator) -> Array:
     """Find dominant planes of N points by sequential RANSAC.
 
+    A plane is accepted only if the weights of its inliers sum to at least MIN_INLIER_WEIGHT.
+
     Args:
         xyz: (N, 3) world points.
-        weights: (N,) weight of each point. The weights of a plane's inliers sum to at least 12.
+        weights: (N,) weight of each point.
         distance: typical distance of points from the cameras in world units.
         rng: random generator.
 

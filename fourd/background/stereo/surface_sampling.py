@@ -58,7 +58,7 @@ def sample_surfaces(surfaces: Sequence[Surface], seen: Sequence[Bools], points: 
     The centre of each part is sampled if ``seen`` (H, W) is true there and the part has no sample yet. An earlier
     sample, from any image, counts if it projects into the part and its depth agrees with the surface's depth. Near
     objects therefore get more points than far ones, but the number of points does not depend on how many images show a
-    surface. Cells that other images confirm are sampled before extrapolated cells.
+    surface. All images are sampled first where other images confirm the depth, and then where no other image does.
 
     Returns:
         the samples of each image.
@@ -173,7 +173,8 @@ class _Squares:
 
 @dataclass(frozen=True, eq=False)
 class _Tiling:
-    """The squares of an image, which are divided into parts where the surface is seen at a grazing angle.
+    """The squares of an image and their parts. A square is divided into several parts if the camera sees the surface in
+    it at a grazing angle; otherwise, the square has one part.
 
     Attributes:
         squares: the tiling with N squares.
@@ -244,10 +245,13 @@ def _slopes(surface: Surface) -> Array:
 
 
 def _extrapolation_error(inverse: Array, change: Array, axis: int) -> Array:
-    """Compute the relative error (R, C) of the inverse depth that a cell's plane predicts at its neighbours along an
-    axis.
+    """Extrapolate each cell's inverse depth linearly to its two neighbours along ``axis``, and return the smaller of
+    the two errors (R, C), relative to the cell's inverse depth.
 
-    The result is the smaller of the errors at the previous and at the next cell.
+    Args:
+        inverse: (R, C) inverse depths.
+        change: (R, C) relative change of the inverse depth from a cell to the next one, by which it is extrapolated.
+        axis: 0 for the neighbours above and below, 1 for the neighbours to the left and right.
     """
     smallest = np.full_like(inverse, np.inf)
     for step in (-1, 1):

@@ -71,7 +71,8 @@ class CloudEncoding:
 
 @dataclass(frozen=True, eq=False)
 class SceneEncoding:
-    """The tier of a packed scene, and the encodings of its dynamic points and of its background."""
+    """The tier of a packed scene (its quality, such as "full" or "light"), and the encodings of its dynamic points and
+    of its background."""
 
     tier: Tier
     dynamic: CloudEncoding

@@ -29,8 +29,8 @@ class GeometryBuffer:
     Attributes:
         rgb: (H, W, 3) float32, sums of colours in [0, 1].
         depth: (H, W) float32, sums of camera depths in world units.
-        normal: (H, W, 3) float32, sums of unit normals in the camera's frame. The normals point to the side that the
-            camera sees.
+        normal: (H, W, 3) float32, sums of unit normals in the camera's frame. Each of these normals
+            points towards the camera, even if the camera sees the back of the triangle.
         hits: (H, W) float32 number of samples with a triangle.
         samples: number of samples per pixel.
     """

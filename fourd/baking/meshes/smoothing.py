@@ -1,4 +1,4 @@
-"""Smoothing of the normals of meshes, because small dents of a surface would show as speckle in a drawing."""
+"""Smooths the normals of meshes for stylized images, in which small dents of a surface would show as speckle."""
 
 from __future__ import annotations
 

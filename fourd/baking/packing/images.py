@@ -101,9 +101,9 @@ def make_image(
     scale: float,
     crf: int,
 ) -> bytes:
-    """Make the image that stores the points' colours in a source view, as differences from their mean colours. The
-    image is fitted to the differences of all points, and encoded as a header and a VP9 key frame. If there are no
-    points, the result is only the header of an empty image.
+    """Make the image that stores the points' colours in one source view. It stores each colour as the difference from
+    the point's mean colour over all source views. The image is fitted to the differences of all points, and encoded as
+    a header and a VP9 key frame. If there are no points, the result is only the header of an empty image.
 
     Args:
         xyz: (M, 3) positions of the points that the view sees, as readers decode them.

@@ -111,7 +111,8 @@ class _Cloud:
 
 
 class _Packer:
-    """Packs the frames of a scene with one encoding, which is chosen from samples of some frames."""
+    """Packs the frames and the background of a scene. All frames have the same encoding (quantisation parameters),
+    which is fitted to points sampled from the given frames."""
 
     def __init__(
         self,

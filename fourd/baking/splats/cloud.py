@@ -92,8 +92,8 @@ def rotate_cloud(cloud: SplatCloud, rotation: NDArray[np.float64]) -> SplatCloud
     """Rotate a cloud about the origin by the matrix R = ``rotation``.
 
     Args:
-        rotation: (3, 3) matrix R. A point x moves to R @ x. A splat's colour in the direction d before the rotation
-            becomes its colour in the direction R @ d.
+        rotation: (3, 3) matrix R. A point x moves to R @ x. In the direction R @ d, the rotated splat has the colour
+            that the original splat has in the direction d.
     """
     turned = _multiply(_quaternion(rotation), cloud.rotation)
     harmonics = _harmonics_rotation(rotation)[: cloud.sh.shape[-1], : cloud.sh.shape[-1]]

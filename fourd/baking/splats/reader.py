@@ -40,7 +40,7 @@ def is_splats(path: Path) -> bool:
 
 
 class SplatReader:
-    """Reads splats as a scene without source views. Each call reads the requested frame from its file.
+    """Reads splats as a scene without source views. Frames are not cached: each request reads the frame's file.
 
     The interface is that of :class:`fourd.baking.container.SceneReader`. The up direction is -y for splats, by
     convention, and +z for coloured points. ``manifest.points`` contains the numbers of splats in the files.

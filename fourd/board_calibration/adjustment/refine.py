@@ -76,7 +76,8 @@ def refine_rig(start: RigState, corners: Corners, frames: Sequence[int], free: F
 
 
 def with_motion(state: RigState, frames: Sequence[int]) -> RigState:
-    """Return the rig with the motion of the board, computed from the board's positions."""
+    """Return the rig with recomputed motions of the board: the angular velocity and the velocity at each position of
+    the board. If the rig has no timing, it is returned unchanged."""
     if state.timing is None:
         return state
     return replace(state, timing=replace(state.timing, motion=board_motion(frames, state.boards)))

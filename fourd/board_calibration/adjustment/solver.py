@@ -1,4 +1,4 @@
-"""Bundle adjustment of a rig, the shape of a board and its positions.
+"""Bundle adjustment of a rig, the shape of a board and its poses.
 
 The solver is the Levenberg-Marquardt algorithm. Iteratively reweighted least squares implement the Huber loss. The
 errors that all corners of one image share (see :mod:`fourd.board_calibration.adjustment.noise`) and the poses of the
@@ -116,7 +116,7 @@ def solve_rig(
 
 def move(state: RigState, free: Free, shared: Array, boards: Array) -> RigState:
     """Apply one step of the solver to a rig. ``shared`` (P,) contains the changes of the cameras and the board's shape.
-    ``boards`` (F, 6) contains the changes of the board's positions."""
+    ``boards`` (F, 6) contains, for each pose of the board, a rotation vector and a translation that change the pose."""
     count = len(state.cameras) * PARAMETERS
     cameras = shared[:count].reshape(-1, PARAMETERS)
     turns = np.stack([cv2.Rodrigues(step[:3])[0] for step in boards]) if len(boards) else np.zeros((0, 3, 3))

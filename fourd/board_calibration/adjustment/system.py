@@ -1,7 +1,7 @@
 """Normal equations of a rig, summed over views. A view is one camera's image of the board in one frame.
 
 The unknowns are the C cameras (17 parameters each), the shape of a board with K corners (3 * K + 1 parameters) and the
-F positions of the board (6 parameters each). Each view has 7 additional unknowns, the errors that all its corners share
+F poses of the board (6 parameters each). Each view has 7 additional unknowns, the errors that all its corners share
 (see :mod:`fourd.board_calibration.adjustment.noise`). Before the views are summed, a Schur complement eliminates these
 additional unknowns from the equations of each view.
 """
@@ -24,7 +24,7 @@ CHUNK = 128
 
 @dataclass(frozen=True, eq=False)
 class Free:
-    """The unknowns that are adjusted in addition to the positions of the board.
+    """The unknowns that are adjusted in addition to the poses of the board.
 
     Attributes:
         cameras: (C, 17) mask of the cameras' parameters, true for those that are adjusted.

@@ -119,7 +119,8 @@ def _match_unmatched(
     pictures: Sequence[Picture], cameras: Sequence[Camera], matches: Mapping[Pair, Matches]
 ) -> dict[Pair, Matches]:
     """Find the cameras that have too few matches in every pair, and match each of them again, this time with all other
-    cameras. Their calibrations may be so wrong that their neighbours were chosen wrongly.
+    cameras. They may lack matches because their calibrations are wrong: each camera was first matched only with the
+    cameras that are its neighbours according to the calibration.
 
     This is done only if at least two cameras, but at most a quarter of all cameras, have too few matches. It is not
     needed for up to 8 cameras, because all their pairs have been matched.

@@ -104,7 +104,9 @@ def _is_accepted(mixup: Mixup) -> bool:
 def _apply(
     chosen: Sequence[int], matches: Mapping[Pair, Matches], cameras: Sequence[Camera]
 ) -> tuple[dict[Pair, Matches], list[Camera]]:
-    """Turn the matches of one camera by 180 degrees, or exchange the calibrations of two cameras."""
+    """Return the matches and the cameras after the correction of one mistake. If ``chosen`` is one camera, the
+    positions of the matches in its images are turned by 180 degrees about the image centre. If ``chosen`` is two
+    cameras, their calibrations are exchanged."""
     if len(chosen) == 2:
         exchanged = list(cameras)
         i, j = chosen

@@ -67,7 +67,7 @@ class Arguments:
 
 
 def run(arguments: Arguments) -> None:
-    """Calibrate the rig, or print the board."""
+    """Calibrate the rig, or write a PDF file of the board for printing."""
     console = Terminal(stderr=True)
     board = read_board(arguments.board)
     if arguments.print_board is not None:

@@ -185,8 +185,9 @@ def _sound_position(text: str) -> SoundPosition:
 
 
 def _scale(words: Sequence[str]) -> tuple[Distance | None, float]:
-    """Parse the values of --scale: at most one known distance between two cameras, and at most one scale factor of the
-    frames. Returns the distance, or None, and the factor, which is 1 by default."""
+    """Parse the values of --scale: at most one known distance between two cameras, and at most one factor that
+    multiplies the width and height of video frames. Returns the distance, or None, and the factor, which is 1 by
+    default."""
     distances = [_distance(word) for word in words if "=" in word or "," in word]
     factors = [word for word in words if "=" not in word and "," not in word]
     if len(distances) > 1 or len(factors) > 1:

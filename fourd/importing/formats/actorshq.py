@@ -51,8 +51,8 @@ def read(source: Path) -> Imported:
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """Read a calibration.csv. Returns the cameras, in metres, keyed by name. Raises UserError in the same cases as
-    :func:`read`."""
+    """Read a calibration.csv. Returns the cameras, in metres, keyed by name. Raises UserError if the CSV lacks a column
+    or a number, or names a camera twice."""
     try:
         rows = list(csv.DictReader(read_file(path).decode("utf-8-sig").splitlines(), strict=True))
     except (UnicodeDecodeError, csv.Error) as error:

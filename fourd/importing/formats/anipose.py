@@ -60,8 +60,8 @@ def read(source: Path, frames: Path | None = None) -> Imported:
 
 
 def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
-    """Read a calibration TOML. Returns the cameras, keyed by name, and notes. Raises UserError in the same cases as
-    :func:`read`."""
+    """Read a calibration TOML. Returns two values: the cameras, keyed by name, and a list of notes for the user. Raises
+    UserError if the TOML is invalid, a value is missing or invalid, or a lens is a fisheye."""
     data = read_toml(path)
     cameras: dict[str, Camera] = {}
     for key, table in data.items():

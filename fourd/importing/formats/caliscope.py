@@ -56,8 +56,8 @@ def read(source: Path, frames: Path | None = None) -> Imported:
 
 
 def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
-    """Read a camera_array.toml. Returns the cameras, keyed by the names cam_N, and notes. Cameras that Caliscope
-    ignores are left out.
+    """Read a camera_array.toml. Returns two values: the cameras, keyed by the names cam_N, and a list of notes for the
+    user. Cameras that Caliscope ignores are left out.
 
     Raises:
         UserError: if the TOML is invalid, if it contains no camera or the same camera twice, or if a camera has a

@@ -96,7 +96,13 @@ def read(source: Path) -> Imported:
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """Read a model folder. Returns the cameras, keyed by name. Raises UserError in the same cases as :func:`read`."""
+    """Read a model folder. Returns the cameras, keyed by name.
+
+    Raises:
+        UserError: when the model is damaged or has no image with a pose, a lens model is not one of LENS_MODELS, a
+            value is invalid, a camera's pose or intrinsics are not the same in all images, or two cameras have the same
+            name.
+    """
     lenses, photos = _read_model(path)
     images: dict[str, list[_Photo]] = defaultdict(list)
     for image in photos:
@@ -188,7 +194,7 @@ def _read_model(path: Path) -> tuple[dict[str, _Lens], list[_Photo]]:
 
 def read_in_child(name: str) -> dict[str, Any]:
     """Read a model with pycolmap, and return JSON values. This function is called in a child process. Raises UserError
-    in the same cases as :func:`read`."""
+    if the model is damaged."""
     model = _load_model(Path(name))
     registered = [model.images[number] for number in model.reg_image_ids()]
     return {

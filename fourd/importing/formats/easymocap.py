@@ -42,8 +42,8 @@ def read(source: Path, frames: Path | None = None) -> Imported:
         frames: folder that contains images/, videos/ and masks/, or None for the folder of the calibration.
 
     Raises:
-        UserError: when the calibration files are invalid, no camera with frames has a calibration, or an image has no
-            matte.
+        UserError: when the calibration files are invalid, no camera with frames has a calibration, or a camera has
+            mattes, but not one for each of its images.
     """
     folder = source.parent if source.name == INTRINSICS_NAME else source
     path, data = folder / INTRINSICS_NAME, frames or folder

@@ -33,7 +33,7 @@ def looks_like(source: Path) -> bool:
 
 
 def is_calibration(path: Path) -> bool:
-    """Return whether ``path`` has the name of a calibration of Qualisys."""
+    """Return whether ``path`` is a file whose name ends in .qca.txt, as the names of Qualisys calibrations do."""
     return path.name.endswith(SUFFIX) and path.is_file()
 
 
@@ -69,8 +69,8 @@ def read(source: Path, frames: Path | None = None) -> Imported:
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """Read a .qca.txt file. Returns the cameras, in metres, keyed by serial number. Raises UserError in the same cases
-    as :func:`read`."""
+    """Read a .qca.txt file. Returns the cameras, in metres, keyed by serial number. Raises UserError if the XML is
+    invalid, or a value is missing or invalid."""
     try:
         root = ElementTree.fromstring(read_limited(path))
     except (ElementTree.ParseError, ValueError, LookupError) as error:

@@ -62,7 +62,8 @@ class BackgroundModel:
 
     @property
     def confidence(self) -> Floats:
-        """Confidence (h, w) in [0, 1]: 1 where enough frames have the same colour."""
+        """Confidence (h, w) in [0, 1] of each pixel's mean colour. It is proportional to the total weight of the frames
+        that have this colour, up to 1 at the weight CONFIDENT_FRAMES."""
         return np.clip(self.frames / CONFIDENT_FRAMES, 0, 1)
 
     def log_likelihood(self, rgb: Picture, shaded_share: float = Deviations.shaded) -> Floats:

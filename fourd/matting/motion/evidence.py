@@ -60,7 +60,7 @@ class Appearance:
         subject: colours of the subject.
         surround: colours of the background near the subject.
         region: (h, w) bool mask that contains the subject in all frames.
-        still_px: length in pixels of the optical flow of static pixels.
+        still_px: typical length in pixels of the optical flow that noise causes at static pixels.
         deviations: how large a fraction of the background pixels differs in colour from the background model.
     """
 

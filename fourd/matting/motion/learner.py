@@ -151,8 +151,9 @@ class Learner:
         """Return the mask (h, w) of the pixels near the subject whose background colour is known.
 
         The background colour is known outside the moving region. Inside the moving region, each pixel is tested
-        separately: its ``weights`` (T, h, w) are summed over the frames in which the pixel's colour matches the
-        background model. Its background colour is known if this sum exceeds CONFIRMED_FRAMES.
+        separately. A pixel's ``weights`` (T, h, w), which are low in frames in which it may show the subject, are
+        summed over the frames in which its colour matches the background model. Its background colour is known if this
+        sum exceeds CONFIRMED_FRAMES.
         """
         frames = self.appearance.background.matching_weight(self.sample.rgb, weights, self.extent.noise)
         return self._near_subject & (~self.appearance.region | (frames > CONFIRMED_FRAMES))

@@ -1,6 +1,7 @@
 """Mattes of all frames from learned colour models of the subject and of each camera's background.
 
-The images from which log-odds are computed here are larger than the images from which the models are learned.
+The models give each pixel the log-odds that it shows the subject. The images from which the log-odds are computed are
+larger than the images from which the models are learned.
 """
 
 from __future__ import annotations

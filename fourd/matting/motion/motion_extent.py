@@ -29,7 +29,7 @@ class MotionExtent:
 
     Attributes:
         noise: standard deviation of a static pixel's values, in 8-bit values.
-        still_px: length in pixels of the optical flow of static pixels.
+        still_px: typical length in pixels of the optical flow that noise causes at static pixels.
         threshold: minimum change of a pixel's value that counts as motion, in 8-bit values.
         region: (h, w) bool mask of the pixels that change in some frame, with holes filled.
     """

@@ -125,8 +125,9 @@ class _RemovedParts:
 
         Occupancy is 1 inside the hull and 0 outside. If it is smoothed with a Gaussian of standard deviation sigma
         (SMOOTHING_CELLS times the cell size), its slope at a flat surface is 1 / (sigma * sqrt(2 * pi)) per unit of
-        distance. The removed fraction of a neighbourhood is divided by this slope to get a distance. The result is at
-        most ``2 * limit``, because signed distances are clamped to [-limit, limit] and cannot decrease by more.
+        distance. The removal decreases the smoothed occupancy at a point by ``share``, which is divided by this slope
+        to get a distance. The result is at most ``2 * limit``, because signed distances are clamped to [-limit, limit]
+        and cannot decrease by more.
         """
         index = (xyz.astype(np.float64) - self.hull.lower[:, None]) / self.hull.side
         share = map_coordinates(self.share, index, order=1, mode="nearest", prefilter=False)

@@ -93,8 +93,8 @@ def line_of(pairs: Pairs, p: Tensor, q: Tensor) -> tuple[Tensor, Tensor, Tensor]
 
     ``p`` and ``q`` (N, 3) are the clip coordinates of the edge's ends, as :func:`see` returns them. The first result
     (N,) is the function's value at the centre of the pair's owner (the pixel whose triangle is nearer). The second (N,)
-    is its decrease per pixel from the owner towards the other pixel. The third (N,) is its decrease per pixel across
-    the pair.
+    is its decrease per pixel from the owner towards the other pixel. The third (N,) is its decrease per pixel
+    perpendicular to the pair's axis, in the direction of increasing image coordinates.
     """
     value = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
     along = pairs.step[:, 0] * (p[:, 2] * q[:, 1] - p[:, 1] * q[:, 2])
@@ -147,8 +147,9 @@ def _side(p: Tensor, q: Tensor, r: Tensor) -> Tensor:
 
 
 def crossing_of_edge(pairs: Pairs, clip: Tensor, tri: Tensor, edge: Tensor) -> Tensor:
-    """Return the distance (N,), in pixels, from the centre of each pair's owner (the pixel whose triangle is nearer) to
-    the point where an edge of the owner's triangle crosses the pair. The distance is differentiable.
+    """For each pair of neighbouring pixels, return the distance (N,), in pixels, from the centre of the owner (the
+    pixel whose triangle is nearer) to the point where an edge of this triangle crosses the segment between the two
+    pixel centres. The distance is differentiable.
 
     ``edge`` (N,) contains the index of this edge in the triangle, 0 to 2.
     """

@@ -1,1 +1,2 @@
-"""Blend logits: the logarithms of the weights with which source views' colours are blended (``csrc/blend``)."""
+"""Blend logits of points in source views (``csrc/blend``). The colours of the views are blended with weights that are
+the softmax of a point's logits over the views, times the point's visibility in each view."""

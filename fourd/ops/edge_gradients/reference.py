@@ -72,7 +72,8 @@ class _Planes:
         contains_pair: (N,) true if the triangle contains the centres of both pixels.
         depth: (N,) z/w at the centre of the owner.
         fall: (N,) decrease of z/w per pixel along the pair, from the owner to the other pixel.
-        fall_across: (N,) decrease of z/w per pixel across the pair.
+        fall_across: (N,) decrease of z/w per pixel perpendicular to the pair: towards the next row if the pair lies in
+            a row, and towards the next column if it lies in a column.
     """
 
     contains_pair: Tensor

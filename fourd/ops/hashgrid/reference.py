@@ -32,7 +32,8 @@ def _level(positions: Tensor, values: Tensor, resolution: int) -> Tensor:
 
 
 def _entry_index(sample: Tensor, resolution: int, entries: int) -> Tensor:
-    """Return the row index (N,) of each sample (N, 3) in a level that stores ``entries`` values."""
+    """Return the row (N,) of each sample in the table of a level, which has ``entries`` rows. A sample is a corner of
+    the level's cells, given by its integer grid coordinates (N, 3)."""
     x, y, z = sample.unbind(dim=1)
     side = resolution + 1
     if side**3 <= entries:

@@ -63,7 +63,8 @@ class HashGridShape:
 
     @property
     def entries(self) -> tuple[int, ...]:
-        """Number of stored entries of every level: its number of samples, but at most 2^log2_entries."""
+        """Number of stored entries of every level: its number of samples, which are the corners of its cells, but at
+        most 2^log2_entries."""
         return tuple(min((side + 1) ** 3, 2**self.log2_entries) for side in self.resolutions)
 
     @property

@@ -15,7 +15,7 @@ def draw_attributes(
     size: tuple[int, int],
     threads: int = 0,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """For each pixel centre, interpolate the nearest triangle's vertex attributes perspective-correctly.
+    """Draw triangles: at each pixel centre, interpolate the visible triangle's vertex attributes perspective-correctly.
 
     Args:
         positions: (V, 4) clip coordinates.

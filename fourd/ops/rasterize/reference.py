@@ -129,8 +129,9 @@ def make_planes(pos: Tensor, corners: Tensor, reference: Tensor, size: tuple[int
 
 
 def _nearest(pieces: Pieces, planes: Planes, previous: Tensor | None, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
-    """Return the index (H, W) and the depth (H, W) of the nearest piece at each pixel. The index is -1 where there is
-    none."""
+    """Return the index (H, W) and the depth (H, W) of the piece (part of a triangle after clipping) that is nearest to
+    the camera at each pixel. If ``previous`` is given, only pieces behind this depth layer are considered. The index is
+    -1 where there is no piece."""
     height, width = size
     best = torch.full(size, -1, dtype=torch.int64)
     best_depth = torch.full(size, torch.inf, dtype=planes.depth.dtype)

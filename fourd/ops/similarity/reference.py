@@ -56,8 +56,8 @@ def check_image_pair(prediction: Tensor, target: Tensor) -> None:
 
 
 def _to_planes(images: Tensor) -> Tensor:
-    """Reshape images from (..., H, W, C) to (1, B*C, H, W), where each channel is one plane of a grouped
-    convolution."""
+    """Reshape B images from (..., H, W, C), where B is the product of the leading axes, to (1, B*C, H, W). Each channel
+    of each image becomes one plane of a grouped convolution."""
     height, width, channels = images.shape[-3:]
     planes = images.reshape(-1, height, width, channels).permute(0, 3, 1, 2)
     return planes.reshape(1, -1, height, width)

@@ -30,7 +30,8 @@ def stylize_surface(
         out: C-contiguous (H, W, 4) uint8 array to draw into. If None, a new array is allocated.
 
     Returns:
-        (H, W, 4) uint8 image with RGB, composited over the paper, and alpha.
+        (H, W, 4) uint8 image. RGB is the drawing composited over the paper, which is the colour behind the surface.
+        Alpha is the larger of the surface's coverage and the opacity of the drawn line.
 
     Raises:
         TypeError, ValueError: for an array of the wrong shape or dtype, or a number that is not finite or out of range.

@@ -20,14 +20,14 @@ performs these steps:
   surface is at rest at a pixel if the sum of the inverse depths at the filter's nine taps differs by at most 3% between
   the previous and the new image.
 - Lines near holes. The back of a surface is visible only through holes between the points, around which depths are
-  irregular. A line is therefore removed if a filter tap shows the back of a surface. It is kept if another tap shows
-  no surface, because it then belongs to the subject's outline.
+  irregular. A line is therefore removed if a filter tap shows the back of a surface, unless another tap shows no
+  surface: the line then belongs to the subject's outline.
 - Specks, which are very short lines, are not drawn. Consider the squares around a pixel with sides of 2, 4, 8, ...,
   2 * r pixels, where r is the result of ``speck_reach``. The line at the pixel is drawn only if each of these squares
   has a line of at least the strength LEAST_STRENGTH on one or more of its sides. The line state still contains the
   specks.
-- Output image. C is composited over the paper with opacity s, and the line colour over the result with opacity
-  ``line_opacity`` * e.
+- Output image. C is composited with opacity s over ``paper``, the colour behind the surface. The line colour is
+  composited over the result with opacity ``line_opacity`` * e.
 
 The cross filter draws no lines on planes: the inverse depth 1 / z of a plane is linear in the pixel position, so the
 second differences of 1 / z, which the filter uses, are 0.
@@ -135,7 +135,8 @@ class Surface:
 
 @dataclass(frozen=True)
 class Numbers:
-    """The numeric parameters of a style for one camera. Lengths are in pixels, colours are in [0, 1].
+    """The numeric parameters of a style for one camera. Lengths are in pixels, colours are in [0, 1]. The module's
+    docstring defines the symbols and contains the formulas.
 
     Attributes:
         ray: six numbers that define the ray through the image point (x, y), scaled to depth 1:
@@ -156,9 +157,9 @@ class Numbers:
             and below 1.
         persistence: weight of a line's previous strength where the surface is at rest and the line becomes stronger. At
             least 0 and below 1.
-        hatch_spacing, hatch_levels, hatch_width, hatch_colour: hatching. Layer k (0 or 1) has lines where the light
-            sqrt(t * g) is below hatch_levels[k]. hatch_width is the width of the lines where the light is 0, as a
-            fraction of hatch_spacing. If it is 0, there is no hatching.
+        hatch_spacing, hatch_levels, hatch_width, hatch_colour: hatching. Layer k (0 or 1) has lines where the
+            brightness sqrt(t * g) is below hatch_levels[k]. hatch_width is the width of the lines where the brightness
+            is 0, as a fraction of hatch_spacing. If hatch_width is 0, there is no hatching.
         paper: the colour behind the surface.
     """
 

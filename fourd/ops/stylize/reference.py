@@ -160,8 +160,8 @@ def _seen_bits(surface: Surface, thickness: int) -> NDArray[np.uint32]:
 
 
 def _fresh_lines(surface: Surface, parameters: StyleParameters, scale: Image) -> Image:
-    """Return the strengths (H, W) of the lines that the line filter finds on ``surface``, before lines fade in. The
-    filter's thresholds are multiplied by ``scale`` (H, W)."""
+    """Return the strengths (H, W) of the lines that the line filter finds on ``surface``. They do not yet fade in over
+    successive images. The filter's thresholds are multiplied by ``scale`` (H, W)."""
     numbers, depth, coverage = parameters.numbers, surface.inverse_depth, surface.coverage
     normal = surface.unit_normal * coverage[..., None]
     shift = _Shift(parameters.thickness)
@@ -192,8 +192,9 @@ def _fresh_lines(surface: Surface, parameters: StyleParameters, scale: Image) ->
 
 
 def _kept_lines(surface: Surface, parameters: StyleParameters) -> Image:
-    """Return the factors by which line strengths are multiplied. A factor is 0 where a tap shows the back of a surface,
-    unless another tap shows no surface."""
+    """Return the factors (H, W), in [0, 1], that remove lines near the backs of surfaces. They multiply the line
+    strengths. A factor is 1 if no tap of the line filter shows the back of a surface, or if any tap shows no surface.
+    Otherwise, it falls to 0 as the surface turns away from the camera; see FRONT_SLOPE."""
     coverage, shift = surface.coverage, _Shift(parameters.thickness)
     normal, rays = surface.unit_normal * coverage[..., None], _rays(surface.size, parameters.numbers)
     square = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1)]

@@ -66,8 +66,8 @@ def sample_texture_reference(
 def _mip_level(
     base: Tensor, position: Tensor, face: Tensor, uv_da: Tensor | None, bias: Tensor | None, count: int
 ) -> Tensor:
-    """Return the clamped mip level (B, H', W'), which is the base-2 logarithm of the longer axis of a pixel's
-    footprint."""
+    """Return the mip level (B, H', W') of each output pixel. It is the base-2 logarithm of the longer axis of the
+    pixel's footprint in texels (0 if ``uv_da`` is None) plus ``bias``, clamped to [0, count - 1]."""
     level = torch.zeros(position.shape[:-1], dtype=position.dtype, device=position.device)
     if uv_da is not None:
         derivatives = uv_da.unflatten(-1, (-1, 2))  # (B, H', W', coordinates, 2)

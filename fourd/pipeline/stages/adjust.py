@@ -37,7 +37,7 @@ class AdjustFiles:
 
 @dataclass(frozen=True)
 class AdjustSettings:
-    """Selected views and frames, and the keys of :class:`RefineConfig` that affect the adjustment."""
+    """Selected views and frames, and the fields of :class:`RefineConfig` that affect the adjustment."""
 
     selection: DataSelection
     poses: bool

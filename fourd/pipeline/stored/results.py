@@ -82,7 +82,8 @@ class StoredResults:
         return run
 
     def remove_others(self) -> None:
-        """Remove the results of stages that this command did not need, such as segments of an earlier division."""
+        """Remove the results of stages that this command did not need, such as surplus segments if an earlier command
+        divided the frames into more segments."""
         for name, manifest in list(self._manifests.items()):
             if name not in self._stages:
                 self._store.remove(manifest)

@@ -78,7 +78,7 @@ def run_unit(files: UnitFiles, settings: UnitSettings, context: Context) -> None
     given = {path: state for need in needs for path, state in need.states().items()}
 
     def written() -> dict[str, str]:
-        """Return the states of the files that the stage has written."""
+        """Map the path of each file that the stage has written to its state, a text that changes with the file."""
         states = cache.states(_folders(stage, cache.root))
         return {path: at for path, at in states.items() if at not in (started.before.get(path), given.get(path))}
 
@@ -91,8 +91,8 @@ def run_unit(files: UnitFiles, settings: UnitSettings, context: Context) -> None
 
 
 def fetch_source(source: FetchSettings, root: Path, track: Track) -> Path:
-    """Copy the source into the folder of the local copy. Raises UserError if the source has changed since the command
-    started."""
+    """Download the source of ``fourd make`` from an object store into the folder ``root``, and return the path of the
+    downloaded file or folder. Raises UserError if the source has changed since the command started."""
     url = StorageUrl(source.url)
     if list_objects(url).version != source.version:
         raise UserError(
@@ -152,8 +152,9 @@ def _prepare(
 
 
 def _folders(stage: AnyStage, root: Path) -> list[Path]:
-    """Return the folders into which a stage writes. A parallel stage writes only to the folders of its ``leftovers``,
-    because other stages may write to the rest of ``root`` at the same time."""
+    """Return the folders into which a stage writes. A parallel stage writes only to the folders in ``stage.leftovers``,
+    which lists the files to remove before the stage starts with a new key. Other stages may write to the rest of
+    ``root`` at the same time."""
     return [leftovers.folder for leftovers in stage.leftovers] if stage.is_parallel else [root]
 
 

@@ -27,8 +27,8 @@ def rasterize(
     The semantics are the same as in nvdiffrast (Laine et al. 2020, Modular Primitives for High-Performance
     Differentiable Rendering). A vertex with clip coordinates (x, y, z, w) is at the image position (x/w, y/w). The
     centre of the pixel in row i and column j is at ((2 * j + 1) / W - 1, (2 * i + 1) / H - 1), so row 0 is at the image
-    border y = -1. A triangle is visible where z/w is in [-1, 1]. A pixel shows the triangle with the smallest z/w, and
-    among several of these the one with the smallest index. Back faces are also visible.
+    border y = -1. A triangle is visible where z/w is in [-1, 1]. A pixel shows the triangle with the smallest z/w. If
+    several triangles have this z/w, the pixel shows the one with the smallest index. Back faces are also visible.
 
     Vertex positions are rounded to 1/256 pixel, so that the coverage test is exact in integer arithmetic. If a pixel
     centre lies on the common edge of two triangles, exactly one of them covers the pixel. If a vertex is behind the

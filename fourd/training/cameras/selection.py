@@ -66,7 +66,8 @@ def open_run_views(path: Path, selection: DataSelection, run: Path | None = None
     Args:
         path: the capture's folder.
         selection: the views, frames and image scale to use.
-        run: folder of a run whose start cameras replace the capture's cameras; if None, the capture's cameras are used.
+        run: folder of a run whose start cameras (the cameras with which its training starts) replace the capture's
+            cameras; if None, the capture's cameras are used.
 
     Raises:
         UserError: a view or frame is unknown, there are fewer than two training views, or start cameras are missing.

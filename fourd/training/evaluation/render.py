@@ -86,8 +86,8 @@ class ModelRenderer:
     def evaluate(
         self, points: FramePoints, frame: int, camera: Camera, exclude: int | None = None
     ) -> list[RenderablePoints]:
-        """Evaluate the renderable points of a frame for ``camera``. The arguments have the same meaning as in
-        :meth:`render`."""
+        """Compute the positions, radii, densities and colours of a frame's points from the models, one object per
+        cloud. The colours are those that ``camera`` sees. The arguments have the same meaning as in :meth:`render`."""
         return self.scene.evaluate_frame(points, frame, camera, self._nearest(camera, exclude))
 
     def render_background(self, camera: Camera, layers: int, exclude: int | None = None) -> RenderedView:

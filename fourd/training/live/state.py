@@ -90,7 +90,7 @@ def training_lock(run: Path) -> Iterator[None]:
     trains the run.
 
     The lock is a shared flock on the folder ``live/``, which is created if it is missing. It does not prevent a second
-    process from training the same run. Another lock, on the run's own folder, does that; see
+    process from training the same run. Another lock, on the run's own folder, prevents this; see
     :func:`fourd.processes.locked_folder`. On Windows, nothing is locked.
     """
     folder = run / LIVE

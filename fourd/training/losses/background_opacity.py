@@ -49,8 +49,9 @@ class BackgroundOpacityTerm:
 
 
 def interpolate_viewpoint(camera: Camera, others: Sequence[Camera], side_px: int, rng: np.random.Generator) -> Camera:
-    """Move ``camera`` to a random point near the line to a camera that is chosen at random from ``others``. The moved
-    camera's image is cropped to at most ``side_px`` x ``side_px`` pixels."""
+    """Move ``camera`` to a random point near the line segment between its centre and the centre of a camera that is
+    chosen at random from ``others``. The moved camera's image is cropped to at most ``side_px`` x ``side_px`` pixels.
+    """
     line = others[int(rng.integers(len(others)))].centre - camera.centre
     offset = rng.normal(size=3)
     offset *= MAX_LATERAL_OFFSET * np.linalg.norm(line) * rng.random() / np.linalg.norm(offset)

@@ -17,7 +17,7 @@ STRIDE = 8
 @dataclass(frozen=True, eq=False)
 class ShadowTerm:
     """Mean of (f - 1)^2, where f is the shadow factor of a background point and f = 1 means no shadow. The term applies
-    to steps whose target is a frame."""
+    to steps whose target is an image of a frame, and not a plate (an image of the empty scene)."""
 
     weight: float
     background: StaticBackground

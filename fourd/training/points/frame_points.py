@@ -145,7 +145,8 @@ class FramePoints:
         )
 
     def copy_outside_heap(self) -> FramePoints:
-        """Copy all tensors to memory outside the heap. Do this for points that stay in memory for many steps."""
+        """Copy all tensors on the CPU to memory outside the heap. Points that stay in memory for many training steps
+        would otherwise fragment the heap; see :mod:`fourd.training.memory`."""
         return self.from_tensors({name: tensor_outside_heap(value) for name, value in self.tensors().items()})
 
     def to(self, device: torch.device) -> FramePoints:

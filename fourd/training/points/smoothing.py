@@ -1,9 +1,9 @@
 """Surface smoothing: moves points towards planes through their neighbours, and moves isolated points back to their
 neighbours.
 
-The images determine a point's position accurately along the surface, but poorly along the normal. Training therefore
-displaces points along the normal at random, by about half a point spacing. In training views, the colours of the points
-compensate for these displacements, but in novel views, contours become ragged.
+The images determine a point's position accurately along the surface, but poorly along the normal. As an unwanted effect
+of training, the points are therefore scattered along the normal, by about half a point spacing. In training views, the
+colours of the points compensate for these displacements, but in novel views, contours become ragged.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ def smooth_surface(points: FramePoints, rows: Tensor, rates: Tensor, strength: f
     it would be visible as a speck beside the subject in novel views. The loss does not move isolated points back,
     because each image shows only few of them.
 
-    A point's excess distance is the part of its distance from the plane that exceeds the tolerance. Each call reduces
-    it by the fraction ``strength * rate / spacing``, where ``rate`` and ``spacing`` are the point's learning rate and
-    spacing. Smoothing and the loss both move a point in proportion to its learning rate, so the balance between them
-    does not depend on the learning rate.
+    A point's excess distance is the part of its distance from the plane that exceeds TOLERANCE point spacings. Each
+    call reduces it by the fraction ``strength * rate / spacing``, where ``rate`` and ``spacing`` are the point's
+    learning rate and spacing. Smoothing and the loss both move a point in proportion to its learning rate, so the
+    balance between them does not depend on the learning rate.
 
     Args:
         points: the points of a frame or of the background. The planes are fitted again every REFIT_STEPS steps.

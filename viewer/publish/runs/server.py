@@ -162,7 +162,7 @@ class RunServer(SiteServer):
         return self.url + self._query
 
     def page_at(self, name: str) -> str:
-        """Return the address of the page, with the token, under another name of this machine."""
+        """Return the address of the page, with the token, for the host name or IP address ``name`` of this machine."""
         return f"http://{name}:{self.server_address[1]}/{self._query}"
 
     @property
