@@ -296,7 +296,7 @@ class VideoReader:
         return to_rgb(found, self.index.turn, self.index.transfer, self.index.scale)
 
     def _decode_until(self, wanted: int) -> av.VideoFrame | None:
-        """Decode frames up to the number ``wanted``, and return that frame, or None if it is missing."""
+        """Decode frames up to the frame with the index ``wanted``, and return this frame, or None if it is missing."""
         for frame in self._frames:
             if frame.pts is None or frame.time_base is None:
                 continue

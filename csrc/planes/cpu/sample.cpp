@@ -115,9 +115,9 @@ void sample_backward(const Query& query, const float* gradient, float* const* gr
     const RunLoops& loops = select_loops(query.simd).of(query.features);
     Team team(query.threads);
     QueryPlan planned(query, team.size());
-    // The planes are divided among the workers. A worker processes all points in order, so no locks are needed and the
-    // order of additions is fixed. It updates all its planes for one batch of points before the next batch, because the
-    // elements of `gradient` for these planes share cache lines.
+    // Each worker has its own planes, so no locks are needed. It processes all points in order, so the order of
+    // additions is fixed. It updates all its planes for one batch of points before the next batch, because the elements
+    // of `gradient` for these planes share cache lines.
     const int parts = std::min(team.size(), query.plane_count);
     team.run(parts, [&](int part, int worker) {
         const int first = query.plane_count * part / parts, last = query.plane_count * (part + 1) / parts;
