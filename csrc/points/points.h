@@ -45,8 +45,8 @@ struct Canvas {
 struct Surface {
     Canvas canvas;  // If the background is black, the colours are premultiplied by alpha.
     // Shape (height, width): the quotient coverage / depth. The coverage is clamp(3 * A - 1/2, 0, 1), where A is the
-    // alpha of the pixel. `depth` is a weighted mean of the camera depths of the points that hit the pixel. The weight of
-    // a point is transmittance * alpha * front_weight. Here alpha is the alpha of the point at this pixel, and
+    // alpha of the pixel. `depth` is a weighted mean of the camera depths of the points that hit the pixel. The weight
+    // of a point is transmittance * alpha * front_weight. Here alpha is the alpha of the point at this pixel, and
     // front_weight (points/front_weight.h) is small for points that face away from the camera.
     float* inverse_depth;
     // Shape (height, width, 4): unit normal n as bytes 127 * n + 128, then 255 * coverage. At pixels without points, n

@@ -90,8 +90,8 @@ class Count:
         return 100 * self.flickering / max(self.edges, 1)
 
     def add(self, lines: list[NDArray[np.bool_]], is_still: NDArray[np.bool_]) -> None:
-        """Count the edge pixels and the flickering pixels of three successive frames, and add them to the totals. ``lines``
-        are the masks of line pixels in these frames, and ``is_still`` is the mask of unchanged pixels."""
+        """Count the edge pixels and the flickering pixels of three successive frames, and add them to the totals.
+        ``lines`` are the masks of line pixels in these frames, and ``is_still`` is the mask of unchanged pixels."""
         before, now, after = lines
         self.edges += int((is_still & (before | now | after)).sum())
         self.flickering += int((is_still & (now != before) & (now != after)).sum())
