@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Protocol
 
 import moderngl
@@ -69,15 +71,11 @@ class OverBackground:
             return
         background = request.settings.background
         target.clear(color=(*background, 0.0))
-        size = (region.right - region.left, region.bottom - region.top)
-        if min(size) <= 0:
+        if region.is_empty:
             return
         disable_blending(self._context)
-        target.use()
-        width, height = request.camera.width, request.camera.height
-        target.viewport = (region.left, height - region.bottom, *size)
-        self._pass.run({"image": image}, is_picture=True, background=background)
-        target.viewport = (0, 0, width, height)
+        with _upright_viewport(target, region):
+            self._pass.run({"image": image}, is_picture=True, background=background)
         self._pixel_filter.run(request, target, region)
 
     def copy(self, image: moderngl.Texture, target: moderngl.Framebuffer) -> None:
@@ -105,22 +103,19 @@ class PixelFilter:
 
         Outside ``region``, the picture has one colour, so the picture is filtered only inside.
         """
-        size = (region.right - region.left, region.bottom - region.top)
-        if request.manifest.pixel_filter == 0 or min(size) <= 0:
+        if request.manifest.pixel_filter == 0 or region.is_empty:
             return
         width, height = target.size
-        lower = height - region.bottom
         # The picture is copied into a texture of the same format, because drivers copy faster than a shader pass draws.
         unfiltered = self._texture_like(target)
         left, right = max(region.left - 1, 0), min(region.right + 1, width)  # The filter reads the neighbours, too.
-        bottom, top = max(lower - 1, 0), min(height - region.top + 1, height)
+        bottom, top = max(height - region.bottom - 1, 0), min(height - region.top + 1, height)
         target.use()
         unfiltered.use(0)
         GL.glCopyTexSubImage2D(GL.GL_TEXTURE_2D, 0, left, bottom, left, bottom, right - left, top - bottom)
         disable_blending(self._context)
-        target.viewport = (region.left, lower, *size)
-        self._pass.run({"image": unfiltered}, pixel_filter=request.manifest.pixel_filter)
-        target.viewport = (0, 0, width, height)
+        with _upright_viewport(target, region):
+            self._pass.run({"image": unfiltered}, pixel_filter=request.manifest.pixel_filter)
 
     def _texture_like(self, target: moderngl.Framebuffer) -> moderngl.Texture:
         """Return a texture with the size and the format of the texture of ``target``."""
@@ -314,6 +309,17 @@ class DualDepthPeeling:
         passes = (self._composite_layers, self._remaining_layers, self._copy, self._over_background)
         for item in (*passes, self._counter, self._targets, self.discs):
             item.release()
+
+
+@contextmanager
+def _upright_viewport(target: moderngl.Framebuffer, region: ImageRegion) -> Iterator[None]:
+    """Bind ``target``, and restrict drawing to ``region`` until the block ends. Rows of ``region`` are counted from the
+    top of the image, but OpenGL counts rows from the bottom."""
+    target.use()
+    width, height = target.size
+    target.viewport = (region.left, height - region.bottom, region.right - region.left, region.bottom - region.top)
+    yield
+    target.viewport = (0, 0, width, height)
 
 
 def _short_dtype(precision: Precision) -> str:

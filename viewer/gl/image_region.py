@@ -25,6 +25,11 @@ class ImageRegion:
     right: int
     bottom: int
 
+    @property
+    def is_empty(self) -> bool:
+        """True if the region contains no pixels."""
+        return self.right <= self.left or self.bottom <= self.top
+
 
 class RegionFinder:
     """Computes the part of the image that the points of a frame can cover. The bounding box of the points is kept, so

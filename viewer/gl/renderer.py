@@ -56,8 +56,8 @@ class GLRenderer:
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """Strength of the lines in the last image, as an array (H, W). Raises RuntimeError if the image has no
-        style."""
+        """Strength of the lines that a style has drawn in the last image, as an array (H, W). Raises RuntimeError if
+        the image has no style."""
         if self._styled is None:
             raise RuntimeError("line_strength: expected an image in a style, got none; draw one first")
         return self._styled.line_strength

@@ -61,8 +61,8 @@ class Renderer(Protocol):
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """Strength of the lines in the last image, as an array (H, W). Raises RuntimeError if the image has no
-        style."""
+        """Strength of the lines that a style has drawn in the last image, as an array (H, W). Raises RuntimeError if
+        the image has no style."""
 
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
         """Draw ``request`` into ``canvas``, at the image size of the request's camera.
