@@ -147,10 +147,15 @@ def _fit_inliers(matches: Matches, which: NDArray[np.intp], tolerance_px: float,
         return which[:0]
     first, second = matches.first_px[which], matches.second_px[which]
     cv2.setRNGSeed(0)
-    if planar:
-        _, mask = cv2.findHomography(first, second, cv2.USAC_MAGSAC, tolerance_px, maxIters=5000, confidence=0.999)
-    else:
-        _, mask = cv2.findFundamentalMat(first, second, cv2.USAC_MAGSAC, tolerance_px, 0.999, 10000)
+    try:
+        if planar:
+            _, mask = cv2.findHomography(first, second, cv2.USAC_MAGSAC, tolerance_px, maxIters=5000, confidence=0.999)
+        else:
+            _, mask = cv2.findFundamentalMat(first, second, cv2.USAC_MAGSAC, tolerance_px, 0.999, 10000)
+    except cv2.error:
+        # OpenCV 5 raises an assertion instead of returning no model if every sample of the matches is degenerate, as
+        # happens with a few wrong matches.
+        return which[:0]
     return which[:0] if mask is None else which[mask.ravel() > 0]
 
 

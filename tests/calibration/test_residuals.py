@@ -124,6 +124,18 @@ def test_planar_scene_keeps_the_matches_on_the_plane_alone(rng: np.random.Genera
     assert kept[100:].sum() <= 1
 
 
+def test_matches_without_a_valid_sample_have_no_inliers() -> None:
+    """Catches the assertion !model.empty() of OpenCV 5, which ended fourd check on ordinary captures.
+
+    The nine matches are those of two cameras of a synthetic capture. All of them are wrong, and no sample of them gives
+    a fundamental matrix.
+    """
+    first = [(83.8, 71.9), (85.5, 64.7), (90.4, 32.4), (110.3, 140.9), (112.3, 155.9), (113.5, 123.5), (117.8, 129.0)]
+    second = [(86.7, 65.1), (88.0, 58.4), (87.3, 36.4), (116.0, 134.8), (120.4, 148.7), (112.3, 117.1), (116.4, 118.5)]
+    first, second = [*first, (118.3, 162.8), (120.6, 60.0)], [*second, (88.0, 62.1), (113.9, 59.0)]
+    assert not inlier_mask(Matches(np.array(first), np.array(second)), 192, 192).any()
+
+
 def test_distances_are_perpendicular_to_the_line(rng: np.random.Generator) -> None:
     """Catches epipolar distances with a wrong scale, and distances that include shifts along the epipolar line."""
     near = np.array([[800.0, 0, 320], [0, 800, 240], [0, 0, 1]])
