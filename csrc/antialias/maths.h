@@ -32,7 +32,7 @@ struct Mesh {
     const float* positions;  // Shape (instances, vertices, 4), in clip space.
     const int* triangles;    // Shape (triangle_count, 3): vertex indices.
     // Shape (triangle_count, 3). Edge i of a triangle lies opposite to its vertex i. Element i is the index of the
-    // third vertex of the other triangle that shares edge i, or -1 if edge i is always a silhouette.
+    // third vertex of the triangle on the other side of edge i, or -1 if edge i is always a silhouette.
     const int* opposite;
     std::size_t vertices, triangle_count;
     bool instanced;  // Whether every image has its own positions. If false, all images share the same positions.
@@ -59,7 +59,7 @@ FOURD_HD static inline float side_of(const Vertex& p, const Vertex& q, const Ver
 }
 
 // Returns a mask in which bit i is 1 if the edge opposite to vertex i of the triangle is a silhouette. An edge is a
-// silhouette unless two triangles share it and lie on opposite sides of it in the image.
+// silhouette unless its Mesh::opposite vertex and vertex i lie on opposite sides of it in the image.
 FOURD_HD static inline std::uint8_t silhouettes_of(const Mesh& mesh, std::size_t first_vertex, std::size_t triangle) {
     const int* of = mesh.triangles + 3 * triangle;
     if (!mesh.has(of[0]) || !mesh.has(of[1]) || !mesh.has(of[2])) return 0;

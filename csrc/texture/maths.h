@@ -118,7 +118,8 @@ FOURD_HD FOURD_INLINE float clamped_level(float level, int level_count) {
     return level < last ? level : last;
 }
 
-// The two levels that a lookup blends. Filters other than linear_mipmap_linear use only `low`.
+// The two levels that a lookup blends: the clamped level rounded down, and the next coarser level. Filters other than
+// linear_mipmap_linear use only `low`.
 struct Levels {
     int low, high;
     float fraction;  // Weight of `high`.
@@ -128,7 +129,7 @@ struct Levels {
 FOURD_HD FOURD_INLINE Levels levels_at(float clamped, int level_count, Filter filter) {
     const float last = static_cast<float>(level_count - 1);
     const bool is_linear = filter == Filter::linear_mipmap_linear;
-    const int low = static_cast<int>(is_linear ? clamped : clamped + 0.5f);
+    const int low = static_cast<int>(clamped);
     const int next = low + 1 < level_count ? low + 1 : low;
     return {low, is_linear ? next : low, is_linear ? clamped - static_cast<float>(low) : 0.0f,
             is_linear && clamped > 0.0f && clamped < last};

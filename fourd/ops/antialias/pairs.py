@@ -127,6 +127,7 @@ def _is_silhouette(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor, ed
     """Return a mask of the edges that are silhouettes. An edge is a silhouette if the triangle has no neighbour across
     it, or if that neighbour projects to the same side of the edge as the triangle itself."""
     neighbour = opposite.long()[pairs.triangle, edge]
+    neighbour = torch.where(neighbour < clip.shape[1], neighbour, -1)
     corners = tri.long()[pairs.triangle]
     ends = corners.gather(1, torch.tensor(EDGES, device=tri.device)[edge])
     own = corners.gather(1, edge[:, None])[:, 0]

@@ -56,7 +56,7 @@ def sample_texture_reference(
     samples = [_sample_level(one, face, st, False, boundary_mode) for one in faces]
     index = torch.arange(len(levels), device=uv.device, dtype=uv.dtype)
     if filter_mode == "linear-mipmap-nearest":
-        weights = ((level.detach() + 0.5).floor()[..., None] == index).to(uv.dtype)
+        weights = (level.detach().floor()[..., None] == index).to(uv.dtype)
     else:
         weights = (1 - (level[..., None] - index).abs()).clamp(min=0)
     out = torch.stack([weights[..., k, None] * sample for k, sample in enumerate(samples)]).sum(0)

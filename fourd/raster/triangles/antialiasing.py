@@ -20,9 +20,9 @@ class Topology:
     """The neighbours of a mesh's triangles, for :func:`antialias`.
 
     Attributes:
-        opposite: (T, 3) int32. Element (t, i) describes the edge of triangle t that is opposite to its vertex i. If
-            exactly two triangles share this edge, the element is the index of the other triangle's vertex that is not
-            on the edge. Otherwise, it is -1. Edges with the value -1 are always silhouette edges.
+        opposite: (T, 3) int32. Element (t, i) describes the edge of triangle t that is opposite to its vertex i. It is
+            the index of the vertex that lies opposite to this edge in the triangle on the edge's other side, or -1 if
+            there is no such triangle. Edges with the value -1 are always silhouette edges.
     """
 
     opposite: Tensor
@@ -63,8 +63,11 @@ def antialias(
     from the centre of p to the crossing. If t < 0.5, c_p changes by (0.5 - t) * (c_q - c_p). If t >= 0.5, c_q changes
     by (t - 0.5) * (c_p - c_q). Edges whose angle to the segment is below 45 degrees are ignored.
 
-    An edge is a silhouette edge if it belongs to only one triangle or to more than two triangles, or if its two
-    triangles lie on the same side of the edge in the image.
+    An edge is a silhouette edge of a triangle if the triangle has no neighbour across it, or if this neighbour lies on
+    the same side of the edge in the image. As in nvdiffrast, an edge has up to two sides, each with one opposite
+    vertex: the first two different ones in the order of ``tri``. Duplicated and double-sided faces therefore count as
+    one. If three or more faces with different vertices meet in an edge, the edge is a silhouette edge of the third and
+    later ones.
 
     The result is differentiable in ``color`` and, through t, in x, y and w of ``pos``. On the CPU, results and
     gradients are bit-identical for any number of threads. On a GPU, the last bits of the gradient of ``pos`` can differ
@@ -92,7 +95,7 @@ def antialias(
         RuntimeError: if the backend was not built.
     """
     chosen = check_antialias(color, rast, pos, tri, topology, pos_gradient_boost, backend)
-    opposite = opposite_vertices(tri) if topology is None else topology.opposite
+    opposite = opposite_vertices(tri, pos.shape[-2]) if topology is None else topology.opposite
     if chosen == "reference":
         return antialias_reference(color, rast, pos, tri, opposite, pos_gradient_boost)
     return op.antialias(color, rast.detach(), pos, tri, opposite, float(pos_gradient_boost), threads)[0]

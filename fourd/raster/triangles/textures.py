@@ -74,9 +74,9 @@ def texture(
             the levels 1, 2 and so on. Each level has half the side lengths of the previous one, rounded down, but at
             least 1.
         filter_mode: "nearest" reads one texel of level 0, and uv gets no gradient. "linear" is bilinear in level 0.
-            "linear-mipmap-nearest" is bilinear in the mip level that is nearest to the computed level; uv_da and
-            mip_level_bias get no gradient. "linear-mipmap-linear" is trilinear. "auto" is "linear-mipmap-linear" if
-            uv_da or mip_level_bias is given, and "linear" otherwise.
+            "linear-mipmap-nearest" is bilinear in one mip level, the computed level rounded down, as in nvdiffrast;
+            uv_da and mip_level_bias get no gradient. "linear-mipmap-linear" is trilinear. "auto" is
+            "linear-mipmap-linear" if uv_da or mip_level_bias is given, and "linear" otherwise.
         boundary_mode: how coordinates outside [0, 1] are handled: "wrap" repeats the texture, "clamp" repeats the
             texels at its border, and "zero" gives 0. Use "cube" if tex is a cube map. Cube maps are continuous across
             edges; at a corner, where only three texels meet, their mean is used as the fourth.

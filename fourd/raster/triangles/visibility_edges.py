@@ -50,7 +50,7 @@ def edge_gradients(
         RuntimeError: if the backend was not built.
     """
     chosen = check_antialias(color, rast, pos, tri, topology, 1.0, backend)
-    opposite = opposite_vertices(tri) if topology is None else topology.opposite
+    opposite = opposite_vertices(tri, pos.shape[-2]) if topology is None else topology.opposite
     if chosen == "reference":
         return add_edge_gradients_reference(color, rast, pos, tri, opposite)
     return add_edge_gradients(color, rast.detach(), pos, tri, opposite, threads)

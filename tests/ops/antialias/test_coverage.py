@@ -107,19 +107,6 @@ def test_folds_are_silhouettes(backend: str) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_edges_of_three_triangles_are_silhouettes(backend: str) -> None:
-    """Catches an edge of three or more triangles for which an arbitrary triangle is used as the neighbour."""
-    pos = torch.cat((rectangle(2.3, 1.0, 8.6, 8.0, HEIGHT, WIDTH), rectangle(3.0, 1.0, 11.0, 8.0, HEIGHT, WIDTH, 2.0)))
-    tri = torch.tensor([[0, 1, 2], [0, 2, 3], [1, 2, 5], [1, 2, 6]], dtype=torch.int32)
-    assert (opposite_vertices(tri)[:, [0, 1, 2]] >= 0).sum() == 2  # The diagonal of the rectangle.
-    clip = pos[None].float()
-    rast = rasterize_brute_force(clip, tri[:2], HEIGHT, WIDTH)
-    color = (rast[..., 3:] > 0).float()
-    image = antialias(color, rast, clip, tri, backend=backend)[0, ..., 0]  # type: ignore[arg-type]
-    torch.testing.assert_close(image[2:7, 8], torch.full((5,), 0.6), rtol=0, atol=1e-5)
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
 def test_nearer_surface_owns_the_edge(backend: str) -> None:
     """Catches a far edge that is blended although a nearer surface hides it, and a reversed comparison of depths."""
     far = rectangle(0.0, 0.0, 12.0, 9.0, HEIGHT, WIDTH, 0.5)

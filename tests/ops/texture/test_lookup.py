@@ -48,9 +48,31 @@ def test_the_bias_alone_is_the_level(backend: str) -> None:
     found = texture(base, uv, None, bias, mip=mips, backend=backend)
     torch.testing.assert_close(found.flatten(), torch.tensor([0, 0, 0.25, 1.5, 4, 4, 0, 4, 0]))
     nearest = texture(base, uv, None, bias, mip=mips, filter_mode="linear-mipmap-nearest", backend=backend)
-    assert nearest.flatten()[2:4].tolist() == [0, 2]
+    assert nearest.flatten().tolist() == [0, 0, 0, 1, 4, 4, 0, 4, 0]
     limited = texture(base, uv, None, bias, mip=mips, max_mip_level=2, backend=backend)
     assert limited.max() == 2
+
+
+def assert_levels_are_rounded_down(backend: str, device: str | torch.device = "cpu") -> None:
+    mips = [torch.full((1, side, side, 1), float(level), device=device) for level, side in ((1, 4), (2, 2), (3, 1))]
+    bias = torch.tensor([-0.5, 0.5, 0.99, 1.0, 1.6, 2.5, 2.999, 3.0, 7.0], device=device)[None, None].requires_grad_()
+    uv = torch.full((1, 1, 9, 2), 0.4, device=device)
+    tex = torch.zeros(1, 8, 8, 1, device=device, requires_grad=True)
+    found = texture(tex, uv, None, bias, mip=mips, filter_mode="linear-mipmap-nearest", backend=backend)
+    assert found.flatten().tolist() == [0, 0, 0, 1, 1, 2, 2, 3, 3]
+    (gradient,) = torch.autograd.grad(found.sum(), bias, allow_unused=True)
+    assert gradient is None or not gradient.any()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_mipmap_nearest_reads_the_level_rounded_down(backend: str) -> None:
+    """Catches a level that is rounded to the nearest one; nvdiffrast rounds down."""
+    assert_levels_are_rounded_down(backend)
+
+
+def test_mipmap_nearest_reads_the_level_rounded_down_on_a_gpu(gpu: torch.device) -> None:
+    """Catches a GPU kernel that rounds levels in another way than the CPU kernel."""
+    assert_levels_are_rounded_down("auto", gpu)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
