@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
 MAX_SQUARES = 100
+MAX_SIDE_M = 1.0
+"""Maximum side of a square in metres. A larger number is probably in millimetres or centimetres."""
 MIN_CHARUCO_SQUARES = 3
 MIN_CHESSBOARD_SQUARES = 4
 
@@ -64,8 +66,9 @@ class CalibrationBoard:
             value = getattr(self, name)
             if not least <= value <= MAX_SQUARES:
                 raise ValueError(f"{name}: expected {least} to {MAX_SQUARES} squares, got {value}; count the squares")
-        if not (math.isfinite(self.square_m) and 0 < self.square_m < MAX_SQUARES):
-            raise ValueError(f"square_m: expected the side of a square in metres, got {self.square_m:g}; measure it")
+        problem = side_problem(self.square_m)
+        if problem is not None:
+            raise ValueError(f"square_m: {problem}")
         if self.dictionary is None:
             if self.double_sided:
                 raise ValueError(
@@ -80,7 +83,8 @@ class CalibrationBoard:
             return
         if self.marker_m is None or not 0 < self.marker_m < self.square_m:
             got = "none" if self.marker_m is None else f"{self.marker_m:g}"
-            raise ValueError(f"marker_m: expected more than 0 and less than square_m, got {got}; measure a marker")
+            fix = _other_units(self.marker_m) if self.marker_m and self.marker_m > MAX_SIDE_M else "measure a marker"
+            raise ValueError(f"marker_m: expected more than 0 and less than square_m, got {got}; {fix}")
         if self.dictionary not in dictionary_names():
             near = get_close_matches(self.dictionary, dictionary_names(), 1, 0.0)[0]
             raise ValueError(
@@ -120,6 +124,22 @@ class CalibrationBoard:
         """Return a short description of the board, for messages."""
         kind = f"ChArUco board ({self.dictionary})" if self.dictionary else "chessboard"
         return f"{kind} of {self.columns} x {self.rows} squares of {1e3 * self.square_m:g} mm"
+
+
+def side_problem(side_m: float) -> str | None:
+    """Return what is wrong with the side of a square in metres, or None if it is plausible. The answer does not name
+    the value's option or key."""
+    if not (math.isfinite(side_m) and side_m > 0):
+        return f"expected the side of a square in metres, got {side_m:g}; measure it"
+    if side_m > MAX_SIDE_M:
+        return (
+            f"expected the side of a square in metres, got {side_m:g}, a square of {side_m:g} m; {_other_units(side_m)}"
+        )
+    return None
+
+
+def _other_units(number: float) -> str:
+    return f"write {number / 1000:g} if it is {number:g} mm, or {number / 100:g} if it is {number:g} cm"
 
 
 def dictionary_names() -> list[str]:

@@ -78,6 +78,22 @@ GOOD = 'columns = 4\nrows = 5\nsquare_m = 0.05\nmarker_m = 0.04\ndictionary = "D
         (GOOD.replace("rows", "row"), "row: expected one of .* got 'row'; did you mean 'rows'"),
         (GOOD.replace("0.05", '"5 cm"'), "square_m: expected a number, got '5 cm'"),
         (GOOD.replace("0.05", "nan"), "square_m: expected the side of a square in metres, got nan"),
+        (GOOD.replace("0.05", "0"), "square_m: expected the side of a square in metres, got 0; measure it"),
+        (GOOD.replace("0.05", "-0.05"), "square_m: expected the side of a square in metres, got -0.05; measure it"),
+        (
+            GOOD.replace("0.05", "50"),
+            "square_m: expected the side of a square in metres, got 50, a square of 50 m; write 0.05 if it is 50 mm, "
+            "or 0.5 if it is 50 cm",
+        ),
+        (
+            GOOD.replace("0.05", "2.5"),
+            "square_m: .* got 2.5, a square of 2.5 m; write 0.0025 if it is 2.5 mm, or 0.025 if it is 2.5 cm",
+        ),
+        (
+            GOOD.replace("0.04", "40"),
+            "marker_m: expected more than 0 and less than square_m, got 40; write 0.04 if it is 40 mm",
+        ),
+        (GOOD.replace("0.04", "-1"), "marker_m: expected more than 0 and less than square_m, got -1; measure a marker"),
         (GOOD.replace("0.04", "0.05"), "marker_m: expected more than 0 and less than square_m, got 0.05"),
         (GOOD.replace("4X4_50", "4X4_51"), "dictionary: expected a dictionary of OpenCV, got 'DICT_4X4_51'"),
         (GOOD.replace("rows = 5", "rows = 50"), "dictionary: expected at least 100 markers, got 50 in DICT_4X4_50"),

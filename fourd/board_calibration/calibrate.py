@@ -28,7 +28,7 @@ from fourd.capture.layout import parse_frame_range, sample_indices
 from fourd.capture.video import VideoIndex, index_video
 from fourd.errors import UserError
 from fourd.files import atomic_folder
-from fourd.importing.folders import find_frames
+from fourd.importing.folders import check_names, find_frames
 from fourd.importing.given_calibration import REPORT
 from fourd.importing.imported import ImportedCamera, PictureFiles, video_files
 from fourd.importing.sample_frames import SynchronizedFrames
@@ -89,6 +89,7 @@ def calibrate_rig(source: Path, out: Path, settings: CalibrationSettings, *, log
     if not source.is_dir():
         raise UserError(f"{source}: expected a folder with videos of the board, got no folder; check the path")
     cameras = tuple(ImportedCamera(name, None, frames) for name, frames in find_frames(source).items())
+    check_names([camera.name for camera in cameras])
     files = video_files(cameras)
     indices = {name: index_video(files[name]) for name in track(list(files), len(files), "videos")} if files else {}
     _check_counts(cameras, indices, settings.offsets)

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.boards import side_problem
 from fourd.cameras import Camera
 from fourd.errors import UserError
 
@@ -57,6 +58,9 @@ def board_pose(picture: Picture, camera: Camera, board: Board) -> Camera:
             f"board: expected at least {MIN_CORNERS} x {MIN_CORNERS} inner corners and squares above 0 m, got "
             f"{columns} x {rows} and {square_m:g} m; count the points where four squares meet"
         )
+    problem = side_problem(square_m)
+    if problem is not None:
+        raise UserError(f"board: {problem}")
     grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8)
     pixels = find_corners(grey, columns, rows)
     if pixels is None:

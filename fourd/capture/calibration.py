@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -14,12 +15,18 @@ from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
 from fourd.formats.opencv_yaml import OpenCvYaml
+from fourd.formats.opencv_yaml_writer import Value, escape_key, write_opencv_yaml
 from fourd.limits import MAX_CALIBRATION_BYTES, read_text_limited
 
 Array = NDArray[np.float64]
 
 INTRINSICS_NAME = "intri.yml"
 EXTRINSICS_NAME = "extri.yml"
+MAX_NAME_BYTES = 200
+"""Maximum length of a camera name in UTF-8. File systems allow 255 bytes; the rest is for suffixes and for the prefixes
+of temporary files."""
+_LENS_KEYS = ("K", "D", "dist", "H", "W")
+_POSE_KEYS = ("R", "Rot", "T")
 MAX_ROTATION_DIFFERENCE = 1e-3
 """Maximum absolute difference between corresponding elements of two rotation matrices of a camera c in extri.yml: the
 matrix stored as Rot_c, and the matrix computed from the Rodrigues vector stored as R_c."""
@@ -59,18 +66,31 @@ class CalibrationReport:
     """Content and errors of the calibration files.
 
     Attributes:
-        names: names of all cameras in intri.yml, including cameras with invalid values.
+        names: names of the cameras of which both files have values, including invalid values.
         calibrations: the valid calibrations, keyed by camera name.
         errors: all errors found in the two files.
+        incomplete: the cameras of which only one file has values; keyed by camera name, with the name of that file.
     """
 
     names: tuple[str, ...]
     calibrations: dict[str, Calibration]
     errors: tuple[UserError, ...]
+    incomplete: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """One line for each file that has cameras that the other file lacks."""
+        lines = []
+        for file, lacks in ((INTRINSICS_NAME, "pose"), (EXTRINSICS_NAME, "intrinsics")):
+            names = [name for name, only in self.incomplete.items() if only == file]
+            if names:
+                lines.append(f"cameras without {lacks}, because only {file} has them, not used: {', '.join(names)}")
+        return tuple(lines)
 
 
 def read_calibration(folder: Path | str) -> dict[str, Calibration]:
     """Read the calibrations in ``folder``. The result is keyed by camera name, in the order of ``names`` in intri.yml.
+    Cameras of which only one of the two files has values are left out.
 
     For each camera with the name c, the function reads these keys:
     - ``K_c``: intrinsics (3, 3) in pixels;
@@ -79,9 +99,13 @@ def read_calibration(folder: Path | str) -> dict[str, Calibration]:
     - ``Rot_c`` (3, 3) or ``R_c`` (Rodrigues vector): rotation R;
     - ``T_c`` (3,): translation T, with ``x_camera = R * x_world + T``.
 
+    Characters of a name that OpenCV cannot read in a key are escaped in the keys; see
+    :func:`~fourd.formats.opencv_yaml_writer.escape_key`.
+
     Raises:
         UserError: if a file is missing or is not an OpenCV FileStorage, a value is missing, has a wrong shape or is not
-            finite, or a rotation matrix is not orthonormal. The message contains the file and the key.
+            finite, a rotation matrix is not orthonormal, or no camera has values in both files. The message contains
+            the file and the key.
     """
     report = check_calibration(folder)
     if report.errors:
@@ -105,21 +129,22 @@ def check_calibration(folder: Path | str) -> CalibrationReport:
         names, others = intri.names(), extri.names(required=False)
     except UserError as error:
         return CalibrationReport((), {}, (error,))
-    known = set(names)
-    for name in others:
-        if name not in known:
-            message = (
-                f"expected camera '{name}', which is in {EXTRINSICS_NAME}, got no such camera; add the camera "
-                f"or remove it from {EXTRINSICS_NAME}"
-            )
-            errors.append(UserError(f"{intri.path}: {message}"))
+    incomplete = {}
+    for name in dict.fromkeys((*names, *others)):
+        has_lens, has_pose = intri.has_any(_LENS_KEYS, name), extri.has_any(_POSE_KEYS, name)
+        if has_lens != has_pose:
+            incomplete[name] = INTRINSICS_NAME if has_lens else EXTRINSICS_NAME
+    names = [name for name in names if name not in incomplete]
     calibrations = {}
     for name in names:
         try:
             calibrations[name] = _read_camera(name, intri, extri)
         except UserError as error:
             errors.append(error)
-    return CalibrationReport(tuple(names), calibrations, tuple(errors))
+    if not names:
+        message = f"expected cameras that are in {EXTRINSICS_NAME} too, got {', '.join(incomplete)}, which are not"
+        errors.append(UserError(f"{intri.path}: {message}; calibrate the cameras again"))
+    return CalibrationReport(tuple(names), calibrations, tuple(errors), incomplete)
 
 
 def read_intrinsics(folder: Path | str) -> dict[str, Camera]:
@@ -132,11 +157,11 @@ def read_intrinsics(folder: Path | str) -> dict[str, Camera]:
     lenses = {}
     intri = _Storage(Path(folder) / INTRINSICS_NAME)
     for name in intri.names():
-        width, height = intri.count(f"W_{name}"), intri.count(f"H_{name}")
+        width, height = intri.count("W", name), intri.count("H", name)
         if width is None or height is None:
             raise UserError(f"{intri.path}: expected W_{name} and H_{name} in pixels, got none; add the image size")
         lens = Calibration(
-            intri.matrix(f"K_{name}", (3, 3)), np.eye(3), np.zeros(3), _read_distortion(name, intri), width, height
+            intri.matrix("K", name, (3, 3)), np.eye(3), np.zeros(3), _read_distortion(name, intri), width, height
         )
         try:
             lenses[name] = lens.camera(width, height)
@@ -146,36 +171,54 @@ def read_intrinsics(folder: Path | str) -> dict[str, Camera]:
 
 
 def write_calibration(folder: Path | str, names: Sequence[str], cameras: Sequence[Camera]) -> None:
-    """Write intri.yml and extri.yml for ``cameras`` into ``folder``; each file is written atomically."""
-    folder = Path(folder)
-    intri, extri = _new_storage(names), _new_storage(names)
+    """Write intri.yml and extri.yml for ``cameras`` into ``folder``; each file is written atomically.
+
+    Raises:
+        ValueError: if a name is not valid; see :func:`camera_name_problem`.
+    """
+    intri: dict[str, Value] = {"names": list(names)}
+    extri: dict[str, Value] = {"names": list(names)}
     for name, camera in zip(names, cameras, strict=True):
+        problem = camera_name_problem(name)
+        if problem is not None:
+            raise ValueError(f"camera '{name}': {problem}")
         distortion = camera.distortion if camera.distortion is not None else np.zeros(5)
-        intri.write(f"K_{name}", camera.intrinsics)
-        intri.write(f"D_{name}", distortion.reshape(1, -1))
-        intri.write(f"H_{name}", camera.height)
-        intri.write(f"W_{name}", camera.width)
-        extri.write(f"R_{name}", cv2.Rodrigues(camera.rotation)[0])
-        extri.write(f"Rot_{name}", camera.rotation)
-        extri.write(f"T_{name}", camera.translation.reshape(3, 1))
-    write_text_atomically(folder / INTRINSICS_NAME, intri.releaseAndGetString())
-    write_text_atomically(folder / EXTRINSICS_NAME, extri.releaseAndGetString())
+        intri[_key("K", name)] = np.asarray(camera.intrinsics, np.float64)
+        intri[_key("D", name)] = np.asarray(distortion, np.float64).reshape(1, -1)
+        intri[_key("H", name)] = int(camera.height)
+        intri[_key("W", name)] = int(camera.width)
+        extri[_key("R", name)] = np.asarray(cv2.Rodrigues(camera.rotation)[0], np.float64)
+        extri[_key("Rot", name)] = np.asarray(camera.rotation, np.float64)
+        extri[_key("T", name)] = np.asarray(camera.translation, np.float64).reshape(3, 1)
+    write_text_atomically(Path(folder) / INTRINSICS_NAME, write_opencv_yaml(intri))
+    write_text_atomically(Path(folder) / EXTRINSICS_NAME, write_opencv_yaml(extri))
 
 
-def _new_storage(names: Sequence[str]) -> cv2.FileStorage:
-    """Create a FileStorage in memory, and write the camera names to it. (A FileStorage that writes to the disk reports
-    no error when the disk is full.)"""
-    flags = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML
-    storage = cv2.FileStorage(".yml", flags)
-    storage.startWriteStruct("names", cv2.FileNode_SEQ)
-    for name in names:
-        storage.write("", name)
-    storage.endWriteStruct()
-    return storage
+def camera_name_problem(name: str) -> str | None:
+    """Return what is wrong with a camera name, or None if the name is valid. A valid name can be the name of a folder
+    and of a video: it is not empty, it does not start with ``.`` or ``-``, it does not start or end with a space, and
+    it contains neither ``/`` nor ``\\`` nor characters that are not printable."""
+    if not name or len(name.encode("utf-8", "surrogatepass")) > MAX_NAME_BYTES:
+        return f"expected a name of 1 to {MAX_NAME_BYTES} bytes"
+    if name[0] in ".-":
+        return "expected no dot and no dash at the start of the name"
+    if name != name.strip():
+        return "expected no space at the start and at the end of the name"
+    wrong = next((character for character in name if character in "/\\" or _is_unprintable(character)), None)
+    return None if wrong is None else f"expected only printable characters except / and \\ in the name, got {wrong!a}"
+
+
+def _is_unprintable(character: str) -> bool:
+    """Return whether a character is a control character, a line separator, or half of a surrogate pair."""
+    return unicodedata.category(character) in ("Cc", "Cs", "Zl", "Zp")
+
+
+def _key(prefix: str, name: str) -> str:
+    return escape_key(f"{prefix}_{name}")
 
 
 def _read_camera(name: str, intri: _Storage, extri: _Storage) -> Calibration:
-    intrinsics = intri.matrix(f"K_{name}", (3, 3))
+    intrinsics = intri.matrix("K", name, (3, 3))
     if not np.allclose(intrinsics[2], (0, 0, 1)):
         raise UserError(
             f"{intri.path}: K_{name}: expected a last row of 0 0 1, got {intrinsics[2].tolist()}; calibrate again"
@@ -183,10 +226,10 @@ def _read_camera(name: str, intri: _Storage, extri: _Storage) -> Calibration:
     calibration = Calibration(
         intrinsics,
         _read_rotation(name, extri),
-        extri.matrix(f"T_{name}", (3,)),
+        extri.matrix("T", name, (3,)),
         _read_distortion(name, intri),
-        intri.count(f"W_{name}"),
-        intri.count(f"H_{name}"),
+        intri.count("W", name),
+        intri.count("H", name),
     )
     try:
         calibration.camera(calibration.width or 1, calibration.height or 1)
@@ -197,21 +240,26 @@ def _read_camera(name: str, intri: _Storage, extri: _Storage) -> Calibration:
 
 
 def _read_distortion(name: str, intri: _Storage) -> Array | None:
-    return next((intri.matrix(key, None) for key in (f"D_{name}", f"dist_{name}") if intri.has(key)), None)
+    return next((intri.matrix(key, name, None) for key in ("D", "dist") if intri.has(key, name)), None)
 
 
 def _read_rotation(name: str, extri: _Storage) -> Array:
     """Read the rotation from the key Rot_c, or from R_c if there is no Rot_c. If both exist, they must describe the
     same rotation."""
-    if not extri.has(f"R_{name}"):
-        return extri.matrix(f"Rot_{name}", (3, 3))
-    vector = extri.matrix(f"R_{name}", None)
+    if not extri.has("R", name):
+        if extri.matrix("Rot", name, None).size == 3:
+            raise UserError(
+                f"{extri.path}: Rot_{name}: expected a rotation matrix of 3 x 3 numbers, got 3 numbers; if they are a "
+                f"rotation vector (Rodrigues), rename the key to R_{name}"
+            )
+        return extri.matrix("Rot", name, (3, 3))
+    vector = extri.matrix("R", name, None)
     if vector.size not in (3, 9):
         raise UserError(f"{extri.path}: R_{name}: expected 3 numbers (Rodrigues), got {vector.size}; correct the value")
     from_vector = vector.reshape(3, 3) if vector.size == 9 else np.asarray(cv2.Rodrigues(vector)[0], np.float64)
-    if not extri.has(f"Rot_{name}"):
+    if not extri.has("Rot", name):
         return from_vector
-    rotation = extri.matrix(f"Rot_{name}", (3, 3))
+    rotation = extri.matrix("Rot", name, (3, 3))
     error = float(np.abs(rotation - from_vector).max())
     is_rotation = np.abs(rotation @ rotation.T - np.eye(3)).max() < MAX_ROTATION_DIFFERENCE
     if is_rotation and error > MAX_ROTATION_DIFFERENCE:
@@ -240,17 +288,24 @@ class _Storage:
                 f"{path}: expected OpenCV FileStorage YAML (%YAML:1.0), got {got}; export the file again"
             ) from error
 
-    def has(self, key: str) -> bool:
-        return key in self._content
+    def has(self, prefix: str, name: str) -> bool:
+        return self._found(prefix, name) in self._content
+
+    def has_any(self, prefixes: Sequence[str], name: str) -> bool:
+        return any(self.has(prefix, name) for prefix in prefixes)
+
+    def _found(self, prefix: str, name: str) -> str:
+        """Return the key of a value: escaped as fourd writes it, or as other programs may write it."""
+        escaped = _key(prefix, name)
+        return escaped if escaped in self._content else f"{prefix}_{name}"
 
     def names(self, required: bool = True) -> list[str]:
         if "names" not in self._content and not required:
             return []
-        entries = self._content.items("names") if "names" in self._content else None
-        names = [entry for entry in entries or [] if isinstance(entry, str)]
-        if not names or entries is None or len(names) < len(entries):
+        names = self._content.strings("names") if "names" in self._content else None
+        if not names:
             raise UserError(
-                f'{self.path}: names: expected a list of quoted camera names such as "00", got no list; add the list'
+                f'{self.path}: names: expected a list of camera names such as "00", got no list; add the list'
             )
         if len(set(names)) != len(names):
             raise UserError(
@@ -258,8 +313,9 @@ class _Storage:
             )
         return names
 
-    def matrix(self, key: str, shape: tuple[int, ...] | None) -> Array:
+    def matrix(self, prefix: str, name: str, shape: tuple[int, ...] | None) -> Array:
         """Read a finite matrix of the given shape; if the shape is None, read any matrix and flatten it."""
+        key = self._found(prefix, name)
         if key not in self._content:
             raise UserError(f"{self.path}: {key}: expected a matrix, got no such key; add the key or remove the camera")
         try:
@@ -280,8 +336,9 @@ class _Storage:
             )
         return matrix.reshape(-1 if shape is None else shape)
 
-    def count(self, key: str) -> int | None:
+    def count(self, prefix: str, name: str) -> int | None:
         """Read a whole number of pixels; return None if the key is missing or the number is 0."""
+        key = self._found(prefix, name)
         if key not in self._content:
             return None
         value = self._content.number(key)

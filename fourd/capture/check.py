@@ -118,6 +118,7 @@ class _Check:
     def report(self) -> Report:
         calibration = check_calibration(self.path)
         self.problems += [str(error) for error in calibration.errors]
+        self.warnings += [f"{self.path}: {line}" for line in calibration.notes]
         calibrations = calibration.calibrations
         images_folder, masks_folder = self.path / "images", self._masks_folder()
         has_videos = not camera_folders(images_folder) and (self.path / VIDEOS).is_dir()

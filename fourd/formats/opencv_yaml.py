@@ -62,6 +62,16 @@ class OpenCvYaml:
         The list is written in brackets or with one dash per line. An item without quotes is a number if it looks like a
         number.
         """
+        found = self._matches(key)
+        return None if found is None else [_value(match) for match in found]
+
+    def strings(self, key: str) -> list[str] | None:
+        """Return the items of a list like :meth:`items`, but as strings. An item without quotes is returned as it is
+        written, even if it looks like a number."""
+        found = self._matches(key)
+        return None if found is None else [_text(match) for match in found]
+
+    def _matches(self, key: str) -> list[re.Match[str]] | None:
         text = _without_tag(self._entries[key])
         try:
             return _bracketed(text) if text.lstrip().startswith("[") else _dashed(text)
@@ -82,7 +92,7 @@ class OpenCvYaml:
             items = self.items(key)
             is_list = items is not None and all(isinstance(item, float) for item in items)
             return np.array(items, np.float64) if is_list else None
-        values = _bracketed(fields.get("data", ""))
+        values = [_value(match) for match in _bracketed(fields.get("data", ""))]
         channels = re.fullmatch(r'\s*"?([0-9]?)[a-z]"?\s*', fields.get("dt", "d"))
         sides = [_single_item(fields.get(side, "")) for side in ("rows", "cols")]
         shape = [int(side) for side in sides if isinstance(side, float) and side in range(1, MAX_ITEMS + 1)]
@@ -96,7 +106,10 @@ class OpenCvYaml:
 
 def _entries(text: str) -> Iterator[tuple[str, str]]:
     """Yield the keys at the start of lines, each with the text up to the next key."""
-    lines = text.split("\n")
+    lines = text.removeprefix("\ufeff").split("\n")
+    if lines[0].strip() == "names:":
+        # Scripts that write the files without OpenCV leave the header out.
+        lines.insert(0, "%YAML:1.0")
     if not lines[0].startswith("%YAML"):
         raise ValueError("another format")
     found: set[str] = set()
@@ -113,7 +126,7 @@ def _entries(text: str) -> Iterator[tuple[str, str]]:
         if found:
             yield key, "\n".join(value)
         key, colon, rest = line.partition(":")
-        key, value = key.rstrip(), [rest]
+        key, value = key.rstrip(" \t"), [rest]
         is_key = bool(colon) and (key[:1].isalpha() or key[:1] == "_")
         if not is_key or key in found:
             fault = "a second time" if is_key else "instead of KEY: VALUE"
@@ -148,20 +161,20 @@ def _single_item(text: str) -> Item | None:
     return None if match is None else _value(match)
 
 
-def _bracketed(text: str) -> list[Item]:
+def _bracketed(text: str) -> list[re.Match[str]]:
     """Return the items of a list in brackets, such as ``[ 1, "a" ]``. Raises ValueError if the text is not such a
     list."""
     head, bracket, body = text.partition("[")
     if head.strip() or not bracket:
         raise ValueError("expected a list in brackets")
-    items: list[Item] = []
+    items: list[re.Match[str]] = []
     position = _gap_end(body, 0)
     separator = "]" if body[position : position + 1] == "]" else ","
     while separator == ",":
         match = _ITEM.match(body, position)
         if match is None or len(items) == MAX_ITEMS:
             raise ValueError(f"expected at most {MAX_ITEMS} numbers or strings in a list")
-        items.append(_value(match))
+        items.append(match)
         separator = body[match.end() : match.end() + 1]
         position = match.end() + (separator == ",")
     if separator != "]" or _gap_end(body, position + 1) != len(body):
@@ -174,12 +187,12 @@ def _gap_end(text: str, position: int) -> int:
     return position if match is None else match.end()
 
 
-def _dashed(text: str) -> list[Item]:
+def _dashed(text: str) -> list[re.Match[str]]:
     """Return the items of lines such as ``  - "a"``. Raises ValueError if any line has a different form."""
     first, *lines = text.split("\n")
-    items: list[Item] = []
+    items: list[re.Match[str]] = []
     for line in lines:
-        dash, item = line.lstrip()[:1], _single_item(line.lstrip()[1:])
+        dash, item = line.lstrip()[:1], _ITEM.fullmatch(_without_tag(line.lstrip()[1:]))
         if dash != "-" or item is None or len(items) == MAX_ITEMS:
             raise ValueError(f"expected at most {MAX_ITEMS} numbers or strings, with dashes")
         items.append(item)
@@ -189,14 +202,18 @@ def _dashed(text: str) -> list[Item]:
 
 
 def _value(match: re.Match[str]) -> Item:
+    text = _text(match)
+    if match["plain"] is None or len(text) > MAX_NUMBER or not _NUMBER.fullmatch(text):
+        return text
+    return float(text.lower().replace(".", "") if text[-1].isalpha() else text)
+
+
+def _text(match: re.Match[str]) -> str:
     if match["double"] is not None:
         return re.sub(r"\\(x[0-9a-fA-F]{2}|.)", _unescaped, match["double"])
     if match["single"] is not None:
         return match["single"].replace("''", "'")
-    text = re.split(r"\s#", match["plain"], maxsplit=1)[0].rstrip()
-    if len(text) > MAX_NUMBER or not _NUMBER.fullmatch(text):
-        return text
-    return float(text.lower().replace(".", "") if text[-1].isalpha() else text)
+    return re.split(r"\s#", match["plain"], maxsplit=1)[0].rstrip()
 
 
 def _unescaped(match: re.Match[str]) -> str:

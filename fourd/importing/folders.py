@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera
+from fourd.capture.calibration import camera_name_problem
 from fourd.capture.layout import camera_folders, find_pictures, find_videos, sort_frames
 from fourd.errors import UserError
 from fourd.importing.imported import Frames, ImportedCamera, PictureFiles, VideoFile
@@ -120,11 +122,24 @@ def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
     return found
 
 
+def check_names(names: Sequence[str]) -> None:
+    """Raise UserError if a camera name is not valid, or two cameras have the same name. See
+    :func:`fourd.capture.calibration.camera_name_problem`."""
+    seen: set[str] = set()
+    for name in names:
+        problem = camera_name_problem(name)
+        if problem is not None:
+            raise UserError(f"camera {name!a}: {problem}; rename it")
+        if name in seen:
+            raise UserError(f"camera '{name}': expected each camera once, got two with this name; rename one")
+        seen.add(name)
+
+
 def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Path) -> dict[str, str]:
     """Match the names of the cameras that have frames to the names in the calibration.
 
     The first of these rules that gives a match is used:
-    - the names are equal;
+    - the names are equal, whether accented letters are composed or decomposed;
     - the last numbers in the names are equal. This rule is used only if all calibrations have different last numbers;
     - the camera's name ends with a separator, optionally "cam", and the calibration's name, as in
       2019-08-02-vid01-camA for the calibration A.
@@ -135,7 +150,10 @@ def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Pa
         UserError: when no camera has a calibration, or several videos have the same calibration.
     """
     names = list(found)
-    pairs = {name: name for name in names if name in calibrated}
+    # Programs on a Mac decompose accented letters in file names, and other programs compose them.
+    by_text = {unicodedata.normalize("NFC", own): own for own in calibrated}
+    composed = {name: unicodedata.normalize("NFC", name) for name in names}
+    pairs = {name: by_text[text] for name, text in composed.items() if text in by_text}
     if not pairs:
         by_number = {_last_number(name): name for name in calibrated if _last_number(name) is not None}
         if len(by_number) == len(calibrated):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from fourd.capture.calibration import read_calibration
+from fourd.capture.calibration import check_calibration
 from fourd.errors import UserError
 from fourd.importing.folders import match_names
 from fourd.importing.imported import Imported
@@ -37,7 +37,10 @@ def apply_calibration(imported: Imported, format_name: str, folder: Path) -> Imp
             f"--calibration: expected the format {VIDEOS_FORMAT}, got {format_name}, which has its own calibration; "
             f"name the format {VIDEOS_FORMAT}, or leave out --calibration"
         )
-    found = read_calibration(folder)
+    report = check_calibration(folder)
+    if report.errors:
+        raise report.errors[0]
+    found = report.calibrations
     pairs = match_names(list(found), [camera.name for camera in imported.cameras], folder)
     cameras = []
     for camera in imported.cameras:
@@ -53,7 +56,7 @@ def apply_calibration(imported: Imported, format_name: str, folder: Path) -> Imp
                 "and H_ of this camera to intri.yml"
             )
         cameras.append(replace(camera, calibration=given.camera(given.width, given.height)))
-    notes = [f"calibration: {folder}"]
+    notes = [f"calibration: {folder}", *report.notes]
     unused = sorted(set(found) - set(pairs.values()))
     if unused:
         notes.append(f"cameras without images, not imported: {', '.join(unused)}")

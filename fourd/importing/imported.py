@@ -47,7 +47,8 @@ class ImportedCamera:
     """One camera of a source.
 
     Attributes:
-        name: name that is unique in the source and consists of letters, digits, ``_``, ``-`` and ``.``.
+        name: name that is unique in the source and valid; see
+            :func:`fourd.capture.calibration.camera_name_problem`.
         calibration: pose, intrinsics and distortion with OpenCV axes, in metres if the source is metric. Its width and
             height are the image size at calibration. None if the source has no calibration.
         frames: the images.

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -22,18 +21,17 @@ from fourd.errors import UserError
 from fourd.files import atomic_path, resolved, write_bytes_atomically
 from fourd.formats.picture import write_picture
 from fourd.importing.clock import describe_clock, describe_pictures
+from fourd.importing.folders import check_names
 from fourd.importing.imported import (
     EncodedPictures,
     Frames,
     Imported,
-    ImportedCamera,
     PictureFiles,
     VideoFile,
     video_files,
 )
 from fourd.progress import Track
 
-NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 JPEG_QUALITY = 95
 
 
@@ -104,7 +102,7 @@ def write_capture(
 
 def check_import(imported: Imported, settings: ImportSettings) -> None:
     """Raise UserError if a camera name is not a valid file name, or an offset belongs to a camera without a video."""
-    _check_names(imported.cameras)
+    check_names([camera.name for camera in imported.cameras])
     frames = {camera.name: camera.frames for camera in imported.cameras}
     for name in settings.offsets:
         if name not in frames:
@@ -113,16 +111,6 @@ def check_import(imported: Imported, settings: ImportSettings) -> None:
             raise UserError(
                 f"--offset: expected a video of '{name}', got images; rename the images to align the frames"
             )
-
-
-def _check_names(cameras: Sequence[ImportedCamera]) -> None:
-    seen: set[str] = set()
-    for camera in cameras:
-        if not NAME.fullmatch(camera.name):
-            raise UserError(f"camera '{camera.name}': expected letters, digits, _, - and . in its name; rename it")
-        if camera.name in seen:
-            raise UserError(f"camera '{camera.name}': expected each camera once, got two with this name; rename one")
-        seen.add(camera.name)
 
 
 def _write_videos(videos: Mapping[str, Video], out: Path, copy: bool, track: Track) -> None:

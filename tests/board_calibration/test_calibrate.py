@@ -140,10 +140,11 @@ def test_both_sides_of_a_board_have_the_same_corners(board: CalibrationBoard) ->
 
 
 def test_a_chessboard_in_folders_of_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a chessboard whose corners change their order between cameras, and images that are not found."""
+    """Catches a chessboard whose corners change their order between cameras, images that are not found, and camera
+    names that OpenCV cannot write, after the whole fit."""
     settings = BoardSettings(frames=14, cameras=2, size=320, board=CHESSBOARD)
     cameras = rig_cameras(settings)
-    for name, camera in zip("ab", cameras, strict=True):
+    for name, camera in zip(("cam.1", "左: [2]"), cameras, strict=True):
         renderer = BoardRenderer(CHESSBOARD, camera, settings.optics)
         (tmp_path / "images" / name).mkdir(parents=True)
         for frame in range(14):

@@ -64,6 +64,10 @@ def test_arguments_are_checked(ball_capture: Path, tmp_path: Path, capsys: pytes
         (("--scale", "a,z=2"), "--scale: expected two cameras among a, b, c, got 'z'"),
         (("--board", "9x6"), "--board: expected COLSxROWSxSQUARE_M, got '9x6'"),
         (("--board", "9x6x-1"), "got '9x6x-1'"),
+        (
+            ("--board", "9x6x25"),
+            "--board 9x6x25: expected the side of a square in metres, got 25",
+        ),
         (("--sync", "--apply-sync"), "choose one"),
     ],
 )

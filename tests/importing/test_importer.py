@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -70,6 +71,26 @@ def test_videos_and_unpacked_frames_agree(tmp_path: Path) -> None:
             ours, theirs = linked.image(camera, frame), unpacked.image(camera, frame)
             assert number_of(ours) == number_of(theirs) == frame
             assert np.abs(ours.astype(int) - theirs).mean() < 3
+
+
+def test_names_with_other_characters(tmp_path: Path) -> None:
+    """Catches names that the calibration's writer refuses after all other work, and names that are changed."""
+    names = ["IMG 0001 (1)", "cam.1", "左", "C#1: [x]", "1e5", "true", "100%3A"]
+    cameras = [replace(camera, height=HEIGHT) for camera in ring_cameras(len(names), WIDTH)]
+    write_calibration(tmp_path / "source", names, cameras)
+    picture = np.full((HEIGHT, WIDTH, 3), 90, np.uint8)
+    for name in names:
+        for folder in ("images", "masks"):
+            (tmp_path / "source" / folder / name).mkdir(parents=True)
+            assert cv2.imwrite(str(tmp_path / "source" / folder / name / "000000.png"), picture)
+    run_import(tmp_path / "source", tmp_path / "out")
+    capture = open_capture(tmp_path / "out")
+    assert sorted(capture.names) == sorted(names)
+    for name, camera in zip(names, cameras, strict=True):
+        assert np.array_equal(capture.cameras[capture.names.index(name)].translation, camera.translation)
+    (tmp_path / "source" / "images" / "true").rename(tmp_path / "source" / "images" / "-true")
+    with pytest.raises(UserError, match="camera '-true': expected no dot and no dash at the start of the name; rename"):
+        run_import(tmp_path / "source", tmp_path / "other")
 
 
 def test_files_are_linked_or_copied(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from typing import Annotated
 import tyro
 from rich.text import Text
 
+from fourd.boards import side_problem
 from fourd.calibration.ambiguities import PrincipalPointMode
 from fourd.calibration.chessboard import Board
 from fourd.calibration.scale import Distance
@@ -226,4 +227,7 @@ def _board(text: str) -> Board:
         columns, rows, square = 0, 0, 0.0
     if len(parts) != 3 or min(columns, rows) < 3 or not (math.isfinite(square) and square > 0):
         raise UserError(f"--board: expected COLSxROWSxSQUARE_M, got '{text}'; write it as 9x6x0.025")
+    problem = side_problem(square)
+    if problem is not None:
+        raise UserError(f"--board {text}: {problem}")
     return Board(columns, rows, square)

@@ -11,7 +11,7 @@ from pathlib import Path
 import av
 
 from fourd.cameras import Camera
-from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, Calibration, read_calibration
+from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, Calibration, check_calibration
 from fourd.capture.decoding import picture_size
 from fourd.capture.video import first_frame
 from fourd.errors import UserError
@@ -35,7 +35,8 @@ def is_calibration(path: Path) -> bool:
 def read(source: Path, frames: Path | None = None) -> Imported:
     """Read the cameras of ``source``: a folder with intri.yml and extri.yml, or intri.yml itself.
 
-    Lengths are in the calibration's unit.
+    Lengths are in the calibration's unit. Cameras of which only one of the two files has values are left out, with a
+    note.
 
     Args:
         source: the folder or intri.yml.
@@ -47,14 +48,20 @@ def read(source: Path, frames: Path | None = None) -> Imported:
     """
     folder = source.parent if source.name == INTRINSICS_NAME else source
     path, data = folder / INTRINSICS_NAME, frames or folder
-    calibrations = read_calibration(folder)
+    report = check_calibration(folder)
+    if report.errors:
+        raise report.errors[0]
+    calibrations = report.calibrations
     found_frames = find_frames(data, FRAME_FOLDERS)
-    found = {name: found_frames[camera] for camera, name in match_names(list(calibrations), found_frames, path).items()}
+    pairs = match_names([*calibrations, *report.incomplete], found_frames, path)
+    found_frames = {camera: of for camera, of in found_frames.items() if pairs.get(camera) not in report.incomplete}
+    found = {pairs[camera]: of for camera, of in found_frames.items() if camera in pairs}
     cameras_by_name = {}
     for name, calibration in calibrations.items():
         cameras_by_name[name] = _make_camera(path, name, calibration, found.get(name))
     cameras, notes = join_calibrations(found_frames, cameras_by_name, path, [data / name for name in MASK_FOLDERS])
-    return Imported(cameras, ("lengths and pixel coordinates are kept as in the calibration", *notes))
+    kept = "lengths and pixel coordinates are kept as in the calibration"
+    return Imported(cameras, (kept, *report.notes, *notes))
 
 
 def _make_camera(path: Path, name: str, calibration: Calibration, frames: Frames | None) -> Camera:

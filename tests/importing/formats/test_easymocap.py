@@ -98,6 +98,23 @@ def test_missing_parts_are_noted(source: Path) -> None:
     assert "some cameras have no mattes: 02, 77" in notes
 
 
+@pytest.mark.parametrize("file", ["intri.yml", "extri.yml"])
+@pytest.mark.parametrize("has_images", [True, False])
+def test_cameras_of_one_file_are_left_out(source: Path, file: str, has_images: bool, rng: np.random.Generator) -> None:
+    """Catches "Rot_10: expected a matrix" for a camera without a pose, which stops the import of all other cameras."""
+    lines = (source / file).read_text()
+    start = lines.index("K_10" if file == "intri.yml" else "R_10")
+    (source / file).write_text(lines[:start].replace('  - "10"\n', ""))
+    if not has_images:
+        shutil.rmtree(source / "images" / "10")
+    imported = read(source)
+    assert [camera.name for camera in imported.cameras] == ["01", "02"]
+    for camera, original in zip(imported.cameras, uneven_cameras(3, BARREL)[:2], strict=True):
+        assert_same_view(camera.calibration, original, rng)
+    lacks, other = ("intrinsics", "extri.yml") if file == "intri.yml" else ("pose", "intri.yml")
+    assert f"cameras without {lacks}, because only {other} has them, not used: 10" in imported.notes
+
+
 def test_invalid_values_are_reported(source: Path) -> None:
     (source / "masks" / "02" / "000002.png").unlink()
     assert_refused(read, source, r"masks/02: expected a matte for each image, got none for 2.jpg; restore the matte")
