@@ -1,31 +1,39 @@
 """COLMAP: a sparse model of static cameras (text or binary), beside each camera's video or images.
 
-The model's images are named CAM/FRAME.jpg or CAM.jpg. The origin of COLMAP's pixel coordinates is the corner of the
-first pixel, as in fourd.
+The model's images are named CAM/FRAME.jpg or CAM.jpg, in any number of outer folders. The origin of COLMAP's pixel
+coordinates is the corner of the first pixel, as in fourd.
 """
 
 from __future__ import annotations
 
-import struct
-from collections import defaultdict
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 import numpy as np
 
 from fourd.cameras import Camera
-from fourd.capture.layout import find_pictures
+from fourd.capture.layout import PICTURE_SUFFIXES, find_videos
 from fourd.errors import UserError
-from fourd.importing.folders import find_frames, join_calibrations, list_entries, make_camera, parse_numbers
-from fourd.importing.imported import Frames, Imported, PictureFiles
-from fourd.limits import open_regular, read_limited
-from fourd.processes.isolation import ParserProcess
+from fourd.importing.folders import (
+    FRAME_FOLDERS,
+    find_frames,
+    join_calibrations,
+    list_entries,
+    make_camera,
+    match_names,
+    picture_files,
+)
+from fourd.importing.formats.colmap_model import Lens, Photo, model_suffix, read_model
+from fourd.importing.imported import Frames, Imported, PictureFiles, VideoFile
 
-MODEL_FOLDERS = (".", "sparse", "sparse/0")
-PHOTO_FOLDERS = ("images", "input", ".")
-"""Folders that may contain the photos CAM.jpg of a static scene, in order of preference."""
+MODEL_FOLDERS = (".", "sparse", "sparse/0", "colmap/sparse/0")
+IMAGE_FOLDERS = ("images", "input", ".")
+"""Folders to which the names of a model's images may be relative, in order of preference. They are searched in the
+source, and in the folder that contains the model's folders."""
+MAX_SHOWN = 5
+"""Maximum number of names that a note lists."""
 LENS_MODELS = {
     "SIMPLE_PINHOLE": (1, 0),
     "PINHOLE": (2, 0),
@@ -38,10 +46,6 @@ LENS_MODELS = {
 
 A lens model's parameters are the focal lengths, the principal point, and the distortion coefficients in OpenCV's order.
 """
-PARAMETER_COUNTS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 12}
-"""Number of parameters of each lens model, keyed by the model's id in cameras.bin."""
-MAX_MODEL_BYTES = 1 << 30
-"""Maximum size in bytes of cameras.bin and of images.bin."""
 MAX_MOTION = 1e-3
 """A camera is static if the pose of each of its images differs from the pose of its first image by at most this value.
 
@@ -50,23 +54,18 @@ The rotation difference is in radians. The position difference is relative to th
 
 
 @dataclass(frozen=True, eq=False)
-class _Lens:
-    """A camera of the COLMAP model: the lens model's name, the image size in pixels, and the parameters in COLMAP's
-    order."""
+class _ModelCamera:
+    """A camera of the capture.
 
-    kind: str
-    width: int
-    height: int
-    parameters: np.ndarray
+    Attributes:
+        calibration: its calibration.
+        files: the model's names of its images.
+        is_photo: whether the camera is one photo of a static scene. Otherwise, the images are in a folder of their own.
+    """
 
-
-@dataclass(frozen=True, eq=False)
-class _Photo:
-    """An image of the COLMAP model: name, number of its camera in the model, and world-to-camera matrix (3, 4)."""
-
-    name: str
-    lens: str
-    pose: np.ndarray
+    calibration: Camera
+    files: tuple[PurePosixPath, ...]
+    is_photo: bool
 
 
 def looks_like(source: Path) -> bool:
@@ -77,7 +76,8 @@ def looks_like(source: Path) -> bool:
 def read(source: Path) -> Imported:
     """Read the cameras of ``source``, a folder with a COLMAP model and with the cameras' videos or images.
 
-    Lengths are in the unit of the COLMAP model.
+    Lengths are in the unit of the COLMAP model. The images are found by their names in the model. Images of a static
+    camera that the model does not name are imported too, and photos and folders that the model does not name are not.
 
     Raises:
         UserError: when the model is damaged, a lens model is not one of LENS_MODELS, a camera's pose or intrinsics are
@@ -88,53 +88,138 @@ def read(source: Path) -> Imported:
         raise UserError(
             f"{source}: expected cameras.bin and images.bin (or .txt) in this folder or in sparse/0, got none; add both"
         )
-    calibrations = read_cameras(path)
-    frames = _find_photos(source, calibrations) or find_frames(source)
-    cameras, notes = join_calibrations(frames, calibrations, path)
-    unit = "lengths are kept in COLMAP's arbitrary unit"
-    return Imported(cameras, (unit, *notes))
+    model = _read_cameras(path)
+    calibrations = {name: camera.calibration for name, camera in model.items()}
+    frames, notes = _find_videos(source, list(calibrations), path)
+    if not frames:
+        frames, notes = _find_images(source, path, model)
+    cameras, more = join_calibrations(frames or find_frames(source), calibrations, path)
+    return Imported(cameras, ("lengths are kept in COLMAP's arbitrary unit", *notes, *more))
 
 
-def read_cameras(path: Path) -> dict[str, Camera]:
-    """Read a model folder. Returns the cameras, keyed by name.
+def _read_cameras(path: Path) -> dict[str, _ModelCamera]:
+    """Read a model folder. Returns the cameras, keyed by name. A camera is named after its folder, or after the whole
+    path of its folder if another folder has the same name.
 
     Raises:
         UserError: when the model is damaged or has no image with a pose, a lens model is not one of LENS_MODELS, a
-            value is invalid, a camera's pose or intrinsics are not the same in all images, or two cameras have the same
-            name.
+            value is invalid, or a camera's pose or intrinsics are not the same in all images.
     """
-    lenses, photos = _read_model(path)
-    images: dict[str, list[_Photo]] = defaultdict(list)
-    for image in photos:
-        file = PurePosixPath(image.name.replace("\\", "/"))
-        images[file.parent.as_posix() if file.parent.name else file.stem].append(image)
-    if not images:
+    lenses, photos = read_model(path)
+    if not photos:
         raise UserError(f"{path}: expected images with poses, got none; reconstruct again")
-    centres = np.array([-image.pose[:, :3].T @ image.pose[:, 3] for image in photos])
+    files = [_relative(path, photo.name) for photo in photos]
+    tops = {file.parts[:1] for file in files if len(file.parts) > 1}
+    # Names that start with the folder of all images are relative to the folder above it.
+    roots = [PurePosixPath(), *(PurePosixPath(*top) for top in tops if top[0] in IMAGE_FOLDERS)]
+    images: dict[PurePosixPath, list[int]] = {}
+    for index, file in enumerate(files):
+        images.setdefault(file if file.parent in roots else file.parent, []).append(index)
+    all_files = set(files)
+    last_names = Counter(_label(key, key in all_files) for key in images)
+    centres = np.array([-photo.pose[:, :3].T @ photo.pose[:, 3] for photo in photos])
     size = float(np.linalg.norm(np.ptp(centres, axis=0)))
-    cameras: dict[str, Camera] = {}
-    for folder, of_camera in images.items():
-        name = PurePosixPath(folder).name
+    cameras: dict[str, _ModelCamera] = {}
+    for key, indices in images.items():
+        is_photo = key in all_files
+        name = _label(key, is_photo)
+        name = name if last_names[name] == 1 else "_".join((*key.parts[:-1], name))
         where = f"{path}: camera '{name}'"
         if name in cameras:
-            raise UserError(f"{where}: expected each camera once, got two folders with this name; rename one")
-        cameras[name] = _make_camera(where, lenses, of_camera, size)
+            raise UserError(f"{where}: expected each camera once, got two images or folders with this name; rename one")
+        calibration = _make_camera(where, lenses, [photos[index] for index in indices], size)
+        cameras[name] = _ModelCamera(calibration, tuple(files[index] for index in indices), is_photo)
     return cameras
 
 
-def _find_photos(source: Path, calibrations: Mapping[str, Camera]) -> dict[str, Frames]:
-    """Find the photos CAM.jpg of a static scene, keyed by camera name. Each photo is one camera with one frame."""
-    for folder in PHOTO_FOLDERS:
-        found = find_pictures(source / folder)
-        photos: dict[str, Frames] = {
-            stem: PictureFiles((source / folder / file,)) for stem, file in found.items() if stem in calibrations
-        }
-        if photos:
-            return photos
-    return {}
+def _relative(path: Path, name: str) -> PurePosixPath:
+    file = PurePosixPath(name.replace("\\", "/"))
+    if file.is_absolute() or ".." in file.parts or "\0" in name or not file.parts:
+        raise UserError(f"{path}: expected image names within the folder of the images, got '{name}'; rename the image")
+    return file
 
 
-def _make_camera(where: str, lenses: dict[str, _Lens], images: list[_Photo], rig_size: float) -> Camera:
+def _label(key: PurePosixPath, is_photo: bool) -> str:
+    return key.stem if is_photo else key.name
+
+
+def _find_videos(source: Path, names: Sequence[str], model: Path) -> tuple[dict[str, Frames], list[str]]:
+    """Find videos of the model's cameras, and return them with notes for the user. Videos are preferred to the model's
+    images, which are often single frames of them."""
+    for folder in FRAME_FOLDERS:
+        videos = find_videos(source / folder)
+        if videos:
+            try:
+                match_names(names, videos, model)
+            except UserError:
+                return {}, []
+            has_images = any((source / folder).is_dir() for folder in IMAGE_FOLDERS[:2])
+            note = f"the videos in {source / folder} are imported, and not the images of the model"
+            return {name: VideoFile(path) for name, path in videos.items()}, [note] * has_images
+    return {}, []
+
+
+def _find_images(source: Path, model: Path, cameras: Mapping[str, _ModelCamera]) -> tuple[dict[str, Frames], list[str]]:
+    """Find the images of the model's cameras, and return them with notes for the user. No images are found if the
+    source has none of the files that the model names."""
+    folders = (source, model.parent, model.parent.parent) if model == source else (source,)
+    bases = [folder / name for folder in folders for name in IMAGE_FOLDERS]
+    counts = [sum(any((base / file).is_file() for file in of.files) for of in cameras.values()) for base in bases]
+    base = bases[int(np.argmax(counts))]
+    if not max(counts):
+        return {}, []
+    found: dict[str, Frames] = {}
+    unnamed = 0
+    for name, camera in cameras.items():
+        frames = _photo(base, camera) if camera.is_photo else picture_files(base / camera.files[0].parent)
+        if frames is not None:
+            found[name] = frames
+            unnamed += len(frames.paths) - len({*frames.paths} & {base / file for file in camera.files})
+    notes = [f"images: {base}"] if base not in (source / "images", source) else []
+    if unnamed:
+        notes.append(
+            f"{unnamed} images in the cameras' folders are imported although the model does not name them, because the "
+            "cameras are static"
+        )
+    return found, [*notes, *_unnamed(base, cameras)]
+
+
+def _photo(base: Path, camera: _ModelCamera) -> PictureFiles | None:
+    file = base / camera.files[0]
+    if file.is_file() and file.suffix.lower() not in PICTURE_SUFFIXES:
+        raise UserError(
+            f"{file}: expected an image with the suffix {', '.join(PICTURE_SUFFIXES)}, got {file.suffix or 'none'}; "
+            "convert the images, and rename them in the model"
+        )
+    return PictureFiles((file,)) if file.is_file() else None
+
+
+def _unnamed(base: Path, cameras: Mapping[str, _ModelCamera]) -> list[str]:
+    """Return notes on photos and folders of images that lie beside the model's images, but that the model does not
+    name."""
+    named = {base / file for of in cameras.values() for file in of.files}
+    own = {base / file.parent for of in cameras.values() if not of.is_photo for file in of.files}
+    above = {parent for file in named for parent in file.parents}
+    beside = {file.parent for file in named if file.parent not in own} | {folder.parent for folder in own - {base}}
+    photos, folders = [], []
+    for path in (folder / entry for folder in sorted(beside) for entry in list_entries(folder)):
+        if path.suffix.lower() in PICTURE_SUFFIXES and path not in named and not path.name.startswith("."):
+            photos.append(path.name)
+        elif path not in above and not path.name.startswith(".") and _has_pictures(path):
+            folders.append(path.name)
+    return [
+        f"{kind} that the model does not name, not imported: {', '.join(names[:MAX_SHOWN])}"
+        + (f" and {len(names) - MAX_SHOWN} more" if len(names) > MAX_SHOWN else "")
+        for kind, names in (("photos", photos), ("folders", folders))
+        if names
+    ]
+
+
+def _has_pictures(folder: Path) -> bool:
+    return folder.is_dir() and any(name.lower().endswith(PICTURE_SUFFIXES) for name in list_entries(folder))
+
+
+def _make_camera(where: str, lenses: Mapping[int, Lens], images: Sequence[Photo], rig_size: float) -> Camera:
     """Make a camera from its first image. Raises UserError if the camera's images differ from each other in pose or
     intrinsics."""
     lens, pose = lenses[images[0].lens], images[0].pose
@@ -169,104 +254,5 @@ def _make_camera(where: str, lenses: dict[str, _Lens], images: list[_Photo], rig
     return make_camera(where, intrinsics, pose[:, :3], pose[:, 3], (lens.width, lens.height), distortion)
 
 
-def _read_model(path: Path) -> tuple[dict[str, _Lens], list[_Photo]]:
-    """Read the lenses, keyed by camera number, and the registered images in the order of their names."""
-    with ParserProcess() as parser:
-        values = parser.call("fourd.importing.formats.colmap:read_in_child", path).value
-    try:
-        lenses = {
-            str(number): _Lens(
-                str(kind), int(width), int(height), parse_numbers(f"{path}: camera {number}", each, (-1,))
-            )
-            for number, (kind, width, height, each) in values["lenses"].items()
-        }
-        photos = [
-            _Photo(str(name), str(lens), parse_numbers(f"{path}: image '{name}'", pose, (3, 4)))
-            for name, lens, pose in values["images"]
-        ]
-        is_complete = all(image.lens in lenses for image in photos)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
-        is_complete = False
-    if not is_complete:
-        raise UserError(f"{path}: expected a COLMAP model, got images without a camera; reconstruct it again")
-    return lenses, sorted(photos, key=lambda image: image.name)
-
-
-def read_in_child(name: str) -> dict[str, Any]:
-    """Read a model with pycolmap, and return JSON values. This function is called in a child process. Raises UserError
-    if the model is damaged."""
-    model = _load_model(Path(name))
-    registered = [model.images[number] for number in model.reg_image_ids()]
-    return {
-        "lenses": {
-            str(number): [camera.model.name, camera.width, camera.height, [float(value) for value in camera.params]]
-            for number, camera in model.cameras.items()
-        },
-        "images": [[image.name, str(image.camera_id), _pose(image).tolist()] for image in registered],
-    }
-
-
-def _pose(image: Any) -> np.ndarray:
-    """Return the world-to-camera matrix (3, 4). In pycolmap 3.12 and newer, ``cam_from_world`` is a method."""
-    pose = image.cam_from_world
-    return np.asarray((pose() if callable(pose) else pose).matrix(), np.float64)
-
-
-def _load_model(path: Path) -> Any:
-    # pycolmap is imported only here, because the import replaces the process's signal handlers.
-    import pycolmap
-
-    if (path / "cameras.bin").is_file():
-        _check_whole(path)
-    try:
-        model = pycolmap.Reconstruction(str(path))
-        for image in model.images.values():
-            image.name.encode()  # pycolmap decodes an image's name only when the name is accessed
-        return model
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path}: expected image names in UTF-8, got other bytes; rename the image") from error
-    except (ValueError, IndexError, KeyError, RuntimeError, MemoryError, OSError) as error:
-        reason = str(error).partition("\n")[0].strip()
-        raise UserError(f"{path}: expected a COLMAP model, got '{reason}'; copy or reconstruct it again") from error
-
-
-def _check_whole(path: Path) -> None:
-    """Raise UserError for truncated files, because pycolmap reads beyond the end of such files or hangs."""
-    for name in ("rigs.bin", "cameras.bin", "frames.bin", "images.bin", "points3D.bin"):
-        file = path / name
-        if not file.is_file():
-            continue
-        try:
-            content = read_limited(file, MAX_MODEL_BYTES) if name in ("cameras.bin", "images.bin") else b""
-            with open_regular(file) as opened:
-                (count,) = struct.unpack("<Q", opened.read(8))
-            if 8 + 8 * count > file.stat().st_size:
-                raise ValueError
-            if content:
-                offset = 8
-                for _ in range(count):
-                    offset = (_after_camera if name == "cameras.bin" else _after_image)(content, offset)
-                if offset > len(content):
-                    raise ValueError
-        except (struct.error, ValueError, OSError) as error:
-            raise UserError(f"{file}: expected a whole file, got a truncated one; copy it again") from error
-
-
-def _after_camera(content: bytes, offset: int) -> int:
-    _, kind, _, _ = struct.unpack_from("<IiQQ", content, offset)
-    return offset + 24 + 8 * PARAMETER_COUNTS.get(kind, 3)
-
-
-def _after_image(content: bytes, offset: int) -> int:
-    name = offset + 4 + 56 + 4
-    end = content.index(b"\0", name) + 1
-    (points,) = struct.unpack_from("<Q", content, end)
-    return end + 8 + 24 * int(points)
-
-
 def _find_model(source: Path) -> Path | None:
-    for folder in MODEL_FOLDERS:
-        found = set(list_entries(source / folder))
-        if {"cameras.bin", "images.bin"} <= found or {"cameras.txt", "images.txt"} <= found:
-            return source / folder
-    return None
+    return next((source / each for each in MODEL_FOLDERS if model_suffix(list_entries(source / each))), None)
