@@ -14,7 +14,10 @@ from fourd.errors import UserError
 from fourd.files import resolved
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png")
-VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mts")
+VIDEO_SUFFIXES = (
+    *(".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v"),
+    *(".mts", ".m2ts", ".m2t", ".ts", ".mpg", ".mpeg"),
+)
 
 VIDEOS = "videos"
 """Folder in a capture with one video per camera: CAM.mp4, or CAM with another suffix from VIDEO_SUFFIXES."""

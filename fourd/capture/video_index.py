@@ -8,7 +8,16 @@ from pathlib import Path
 
 from fourd.capture.layout import VIDEOS, camera_folders, find_videos, refuse_symlinks
 from fourd.capture.video import VideoIndex
-from fourd.capture.video_list import CACHE, NAME, is_entry_current, load_video, make_entry, read_entries, write_entries
+from fourd.capture.video_list import (
+    CACHE,
+    NAME,
+    is_entry_current,
+    is_outdated,
+    load_video,
+    make_entry,
+    read_entries,
+    write_entries,
+)
 from fourd.processes.isolation import ParserProcess
 from fourd.progress import Track
 
@@ -40,8 +49,9 @@ def cached_indices(files: Mapping[str, Path], folder: Path, track: Track) -> dic
 
 
 def index_capture(capture: Path, names: Sequence[str] | None, track: Track) -> None:
-    """Index the videos of a capture, and store the indices in the cache file ``capture``/.fourd/videos.json. Videos in
-    the capture's video list ``capture``/videos.json are skipped, because the list already contains their indices.
+    """Index the videos of a capture, and store the indices in the cache file ``capture``/.fourd/videos.json. Videos
+    in the capture's video list ``capture``/videos.json are skipped, because the list already contains their indices,
+    unless an older version of fourd has written them.
 
     When all indices are stored, opening the capture does not read whole videos. The function does nothing if the
     capture has image files or its folder is not writable.
@@ -56,6 +66,6 @@ def index_capture(capture: Path, names: Sequence[str] | None, track: Track) -> N
     """
     if camera_folders(capture / "images") or not os.access(capture, os.W_OK):
         return
-    known = read_entries(capture / NAME)
+    known = {name: entry for name, entry in read_entries(capture / NAME).items() if not is_outdated(entry)}
     files = {name: path for name, path in find_videos(capture / VIDEOS).items() if name not in known}
     cached_indices({name: path for name, path in files.items() if names is None or name in names}, capture, track)

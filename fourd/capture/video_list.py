@@ -26,7 +26,12 @@ from fourd.processes.isolation import ParserProcess
 NAME = "videos.json"
 CACHE = DERIVED / NAME
 """Cache file in a capture for indices of videos that videos.json does not list, for example during an import."""
-VERSION = 2
+VERSION = 3
+INDEX_VERSION = 3
+"""Oldest version of the file whose indices are used. Older indices can name other frames, so the videos are indexed
+again."""
+OUTDATED = "outdated"
+"""Key that :func:`read_entries` adds to entries of older versions."""
 OFFSET_DECIMALS = 4
 MAX_OFFSET = 1e9
 MAX_PIXELS = 1 << 28
@@ -113,11 +118,42 @@ def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, 
     videos = {}
     with ParserProcess() as parser:
         for name in files if names is None else [name for name in names if name in files]:
-            if name in listed:
-                videos[name] = replace(load_video(path, files[name], listed[name], parser), fps=fps)
-            else:
+            entry = listed.get(name)
+            if entry is None:
                 videos[name] = load_video(cache, files[name], cached.get(name), parser)
+            elif is_outdated(entry):
+                current = load_video(cache, files[name], cached.get(name), parser)
+                videos[name] = replace(_update(path, entry, current), fps=fps)
+            else:
+                videos[name] = replace(load_video(path, files[name], entry, parser), fps=fps)
     return videos
+
+
+def is_outdated(entry: Entry) -> bool:
+    """Return whether an older version of fourd has written the index in an entry of videos.json."""
+    return bool(entry.get(OUTDATED))
+
+
+def _update(listing: Path, entry: Entry, video: Video) -> Video:
+    """Return a video with a new index and the offset and scale of its outdated ``entry``.
+
+    Raises:
+        UserError: if the frames now have another size, for example because their pixels are not square.
+    """
+    try:
+        old, offset = entry["index"], entry["offset"]
+        index = video.index.reduce(float(old.get("scale", 1.0)))
+        size = (old["width"], old["height"])
+        if not (isinstance(offset, int | float) and 0 <= offset < MAX_OFFSET and 0 < index.scale <= 1):
+            raise ValueError
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise _damaged(listing, f"the index of {video.path.name}") from error
+    if size != (index.width, index.height):
+        raise UserError(
+            f"{listing}: expected frames of {size[0]} x {size[1]} pixels in {video.path.name}, got {index.width} x "
+            f"{index.height}, because this version stretches non-square pixels; import again"
+        )
+    return replace(video, index=index, offset=offset)
 
 
 def write_video_list(capture: Path, videos: Mapping[str, Video]) -> None:
@@ -206,8 +242,10 @@ def make_entry(video: Video) -> Entry:
 
 
 def is_entry_current(entry: Entry | None, path: Path) -> bool:
-    """Return whether the name and size in a video's ``entry`` match the file at ``path``."""
-    return entry is not None and (entry.get("file"), entry.get("bytes")) == (path.name, path.stat().st_size)
+    """Return whether a video's ``entry`` is of this version, and its name and size match the file at ``path``."""
+    if entry is None or is_outdated(entry):
+        return False
+    return (entry.get("file"), entry.get("bytes")) == (path.name, path.stat().st_size)
 
 
 def load_video(listing: Path, path: Path, entry: Entry | None, parser: ParserProcess | None = None) -> Video:
@@ -219,7 +257,7 @@ def load_video(listing: Path, path: Path, entry: Entry | None, parser: ParserPro
     Raises:
         UserError: if the entry is damaged or the video cannot be used.
     """
-    if entry is None:
+    if entry is None or is_outdated(entry):
         return Video(path, index_video(path, parser), 0)
     try:
         offset = entry["offset"]
@@ -246,7 +284,10 @@ def read_entries(path: Path) -> dict[str, Entry]:
         content = read_json(path)
         if content["version"] not in range(1, VERSION + 1):
             raise UserError(f"{path}: expected version {VERSION} or older, got {content['version']}; import again")
-        return dict(content["cameras"])
+        entries = dict(content["cameras"])
+        if content["version"] < INDEX_VERSION:
+            entries = {name: dict(entry) | {OUTDATED: True} for name, entry in entries.items()}
+        return entries
     except FileNotFoundError:
         return {}
     except (ValueError, KeyError, TypeError) as error:

@@ -8,8 +8,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from fourd.capture.frame_rate import format_rate
+from fourd.capture.streams.picture import HLG_PEAK, KNEE, REFERENCE_WHITE, shown_size
+from fourd.capture.video import VideoIndex
 from fourd.capture.video_list import Video, common_frames
-from fourd.capture.video_picture import HLG_PEAK, KNEE, REFERENCE_WHITE
 
 LONG_KEYFRAME_INTERVAL = 250
 """If the keyframes of a video are farther apart than this number of frames, a note suggests --unpack, because reading a
@@ -21,8 +22,14 @@ MIN_TOLD_FRAMES = 0.5
 
 
 def describe_pictures(videos: Mapping[str, Video]) -> list[str]:
-    """Return notes on the conversions of video frames: turning upright, tone mapping of HDR video, and scaling down."""
+    """Return notes on the conversions of video frames: stretching, deinterlacing, turning upright, tone mapping of HDR
+    video, and scaling down."""
     notes = []
+    groups: dict[str, list[str]] = {}
+    for name, video in videos.items():
+        for note in (*_stretching(video.index), *video.index.notes):
+            groups.setdefault(note, []).append(name)
+    notes += [f"{', '.join(names)}: {note}" for note, names in groups.items()]
     for turn in (90, 180, 270):
         names = [name for name, video in videos.items() if video.index.turn == turn]
         if names:
@@ -42,6 +49,20 @@ def describe_pictures(videos: Mapping[str, Video]) -> list[str]:
             notes.append(f"{', '.join(plain)}: these videos are not HDR; colours may differ from those of HDR cameras")
     for scale in sorted({video.index.scale for video in videos.values()} - {1.0}):
         notes.append(f"frames are decoded at {scale:g} times their size")
+    return notes
+
+
+def _stretching(index: VideoIndex) -> list[str]:
+    """Return a note if the frames of a video are stretched to square pixels or deinterlaced."""
+    notes = []
+    if index.aspect != 1:
+        width, height = shown_size(index.stored_width, index.stored_height, index.aspect)
+        notes.append(
+            f"stored as {index.stored_width} x {index.stored_height} with pixels of the aspect ratio "
+            f"{index.aspect.numerator}:{index.aspect.denominator}, stretched to {width} x {height}"
+        )
+    if index.is_interlaced:
+        notes.append("interlaced: each frame is deinterlaced and shows the time of its first field")
     return notes
 
 
@@ -70,7 +91,7 @@ def describe_clock(videos: Mapping[str, Video]) -> list[str]:
             notes.append(f"{name}: the last {video.frames_left - count} frames are not used: other videos end earlier")
         if video.offset >= MIN_TOLD_FRAMES:
             notes.append(f"{name}: its first {video.offset:g} frames are skipped because of the offsets")
-        longest = int(np.diff((*video.index.keyframes, video.index.frames)).max(initial=0))
+        longest = int(np.diff((0, *video.index.keyframes, video.index.frames)).max(initial=0))
         if longest > LONG_KEYFRAME_INTERVAL:
             notes.append(f"{name}: {longest} frames between keyframes: --unpack makes random access faster")
     return notes

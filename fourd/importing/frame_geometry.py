@@ -1,4 +1,4 @@
-"""Conversion of calibrations for videos whose frames are turned upright or scaled down."""
+"""Conversion of calibrations for videos whose frames are stretched, turned upright or scaled down."""
 
 from __future__ import annotations
 
@@ -75,7 +75,10 @@ def reduced_indices(indices: Mapping[str, VideoIndex], reduce: float) -> dict[st
 def match_calibrations(
     cameras: Sequence[ImportedCamera], indices: Mapping[str, VideoIndex], meant: CalibratedFrames, reduce: float
 ) -> tuple[tuple[ImportedCamera, ...], list[str]]:
-    """Turn and scale down each calibration in the same way as the frames of its video.
+    """Stretch, turn and scale down each calibration in the same way as the frames of its video.
+
+    A video with non-square pixels is stretched to square pixels. If the calibrated images have the shape of the stored
+    frames, the calibration is stretched too.
 
     A calibration belongs either to the stored frames of the video or to the turned frames, which OpenCV and video
     players show. If ``meant`` is "auto", the orientation (landscape or portrait) of the calibrated images decides. The
@@ -98,6 +101,9 @@ def match_calibrations(
     for camera in cameras:
         calibration, index = camera.calibration, indices.get(camera.name)
         if calibration is not None and index is not None:
+            if index.aspect != 1:
+                calibration, text = _stretched(calibration, index, reduce)
+                groups.setdefault(text, []).append(camera.name)
             if index.turn:
                 is_stored, reason = _is_for_stored(calibration, index, meant)
                 text = f"the calibration belongs to {'the stored' if is_stored else 'the turned'} frames ({reason})"
@@ -106,6 +112,35 @@ def match_calibrations(
             calibration = calibration if reduce == 1 else calibration.rescale(reduce)
         found.append(replace(camera, calibration=calibration))
     return tuple(found), [f"{', '.join(names)}: {text}" for text, names in groups.items()]
+
+
+def _stretched(calibration: Camera, index: VideoIndex, reduce: float) -> tuple[Camera, str]:
+    """Return the calibration of a video with non-square pixels for its stretched frames, and a note.
+
+    A calibration whose images have the shape of the stored frames belongs to the stored frames, so it is stretched like
+    them. Otherwise, it belongs to the frames as players show them, and is not changed.
+    """
+    shown_width, shown_height = (round(size / reduce) for size in index.unturned_size)
+    stored = (index.stored_width, index.stored_height)
+    size = (calibration.width, calibration.height)
+    is_turned = index.turn % 180 != 0 and (size[0] > size[1]) != (stored[0] > stored[1])
+    if is_turned:
+        shown_width, shown_height, stored = shown_height, shown_width, stored[::-1]
+    shapes = [np.log(size[0] / size[1] * height / width) for width, height in (stored, (shown_width, shown_height))]
+    if abs(shapes[0]) > abs(shapes[1]):
+        return calibration, (
+            f"the calibration belongs to square pixels (its images are {size[0]} x {size[1]}), so it is not stretched"
+        )
+    x, y = shown_width / stored[0], shown_height / stored[1]
+    stretched = replace(
+        calibration,
+        intrinsics=np.diag([x, y, 1.0]) @ calibration.intrinsics,
+        width=round(size[0] * x),
+        height=round(size[1] * y),
+    )
+    return stretched, (
+        f"the calibration belongs to the stored pixels (its images are {size[0]} x {size[1]}), so it is stretched too"
+    )
 
 
 def _turned(name: str, calibration: Camera, turn: int) -> Camera:
@@ -120,7 +155,7 @@ def _is_for_stored(calibration: Camera, index: VideoIndex, meant: CalibratedFram
     if meant != "auto":
         return meant == "stored", f"--calibrated-frames {meant}"
     width, height = calibration.width, calibration.height
-    stored_width, stored_height = index.stored_size
+    stored_width, stored_height = index.unturned_size
     if index.turn % 180 == 0 or width == height or stored_width == stored_height:
         return False, "stored and turned frames have its orientation; change this with --calibrated-frames stored"
     is_stored = (width > height) == (stored_width > stored_height)

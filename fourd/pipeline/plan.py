@@ -11,7 +11,7 @@ import av
 
 from fourd.capture.decoding import picture_size
 from fourd.capture.layout import parse_frame_range
-from fourd.capture.video import open_container
+from fourd.capture.streams.container import frame_count, open_container, video_stream
 from fourd.errors import UserError
 from fourd.importing.detection import pick_format
 from fourd.importing.imported import EncodedPictures, Frames, Imported, PictureFiles, VideoFile
@@ -140,10 +140,9 @@ def _measure(frames: Frames) -> tuple[int | None, tuple[int, int]]:
     assert isinstance(frames, VideoFile)
     try:
         with open_container(frames.path) as container:
-            stream = container.streams.video[0]
-            seconds = (stream.duration or 0) * (stream.time_base or 0)
-            return stream.frames or round(seconds * (stream.average_rate or 0)) or None, (stream.width, stream.height)
-    except (av.FFmpegError, OSError, ValueError, IndexError, TypeError):
+            stream = video_stream(frames.path, container)
+            return frame_count(stream) or None, (stream.width, stream.height)
+    except (av.FFmpegError, OSError, ValueError, IndexError, TypeError, UserError):
         return None, (0, 0)
 
 

@@ -82,19 +82,21 @@ class ParserProcess:
             self._stop()
         self._process = self._stop = None
 
-    def call(self, function: str, path: Path, *arguments: object) -> Reply:
+    def call(self, function: str, path: Path, *arguments: object, more_seconds: float = 0.0) -> Reply:
         """Call ``function`` of the child process with a file and further arguments.
 
         Args:
             function: the function as "module:name". The function returns a JSON value, or a JSON value and bytes.
             path: the file or folder that the function reads.
             arguments: further arguments, which must be JSON values.
+            more_seconds: seconds that are added to the limit of the CPU time, for work that does not depend on the
+                size of the file.
 
         Raises:
             UserError: if the function raises UserError, or if the child process crashes, needs more than
                 :data:`MAX_BYTES` of memory, or needs too much time.
         """
-        seconds = SECONDS + SECONDS_PER_MB * _size(path) / 2**20
+        seconds = SECONDS + SECONDS_PER_MB * _size(path) / 2**20 + more_seconds
         process = self._start()
         assert process.stdin is not None
         assert process.stdout is not None

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from fourd.capture.layout import find_videos
-from fourd.capture.matroska import HEADER, SEGMENT, missing_bytes
+from fourd.capture.streams.frames import FrameReader
+from fourd.capture.streams.matroska import HEADER, SEGMENT, missing_bytes
 from fourd.capture.video import VideoReader, index_video
 from fourd.capture.video_index import index_capture
 from fourd.capture.video_list import CACHE, NAME, Video, align_offsets, common_frames, list_videos, write_video_list
@@ -85,8 +86,8 @@ def test_seek_starts_at_the_keyframe_before(tmp_path: Path, monkeypatch: pytest.
     """Catches decoding from the start of the video, and a seek before each consecutive frame."""
     path = write_numbered_video(tmp_path / "video.mp4")
     seeks = []
-    seek = VideoReader._seek
-    monkeypatch.setattr(VideoReader, "_seek", lambda reader, frame: (seeks.append(frame), seek(reader, frame))[1])
+    enter = FrameReader._enter
+    monkeypatch.setattr(FrameReader, "_enter", lambda reader, frame: (seeks.append(frame), enter(reader, frame))[1])
     with VideoReader(path, index_video(path)) as reader:
         seeks.clear()
         for frame in (39, 25, 26, 27, 12, 3):
@@ -267,8 +268,8 @@ def test_damaged_list_is_reported(text: str, tmp_path: Path) -> None:
 
 def test_newer_list_is_refused(tmp_path: Path) -> None:
     """Catches a file of a newer format version that is read as the current version."""
-    (tmp_path / NAME).write_text(json.dumps({"version": 3, "cameras": {}}))
-    with pytest.raises(UserError, match="expected version 2 or older, got 3"):
+    (tmp_path / NAME).write_text(json.dumps({"version": 4, "cameras": {}}))
+    with pytest.raises(UserError, match="expected version 3 or older, got 4"):
         list_videos(tmp_path)
 
 

@@ -22,7 +22,7 @@ from fourd.baking.splats.reader import SplatReader
 from fourd.boards import read_board
 from fourd.capture.calibration import check_calibration
 from fourd.capture.decoding import decode_rgb
-from fourd.capture.matroska import missing_bytes
+from fourd.capture.streams.matroska import missing_bytes
 from fourd.capture.video_list import list_videos
 from fourd.configs import load_overlay
 from fourd.errors import UserError

@@ -215,17 +215,15 @@ def describe_video_in_child(name: str) -> Rows:
     """Describe a video. :func:`_video` calls this function in its child process."""
     import av
 
-    from fourd.capture.video import open_container
+    from fourd.capture.streams.container import frame_count, open_container, video_stream
 
     path = Path(name)
     try:
         with open_container(path) as container:
-            if not container.streams.video:
-                raise UserError(f"{path}: expected a video, got a file without video frames; name another file")
-            stream = container.streams.video[0]
+            stream = video_stream(path, container)
             rate = float(stream.average_rate or 0)
             seconds = float(container.duration or 0) / av.time_base
-            frames = stream.frames or round(seconds * rate)
+            frames = frame_count(stream) or round(seconds * rate)
             return [
                 ("frames", f"{frames} at {format_rate(rate)} per second, {seconds:.2f} s"),
                 ("image size", _turned_size(path)),

@@ -1,4 +1,4 @@
-"""Conversion of decoded video frames to upright sRGB images: rotation, reduced size, and tone mapping of HDR video.
+"""Conversion of decoded video frames to upright sRGB images: rotation, size, transparency, and tone mapping of HDR.
 
 HDR signals (ITU-R BT.2100) are converted in these steps:
 
@@ -14,6 +14,7 @@ HDR signals (ITU-R BT.2100) are converted in these steps:
 
 from __future__ import annotations
 
+from fractions import Fraction
 from functools import cache
 from typing import Any
 
@@ -71,22 +72,42 @@ def turn_of(frame: av.VideoFrame) -> int | None:
     return turn % 360 if abs(turn - frame.rotation) <= MAX_TURN_ERROR else None
 
 
-def to_rgb(frame: av.VideoFrame, turn: int, transfer: str, scale: float) -> Picture:
-    """Convert a decoded frame to an upright sRGB image (H, W, 3) uint8.
+def shown_size(width: int, height: int, aspect: Fraction) -> tuple[int, int]:
+    """Return the width and height in pixels of a stored frame that is stretched to square pixels.
+
+    Wide pixels (``aspect`` above 1) are stretched in width, and tall pixels in height, so that no detail is lost.
+    """
+    if aspect > 1:
+        return max(1, round(width * aspect)), height
+    return width, max(1, round(height / aspect))
+
+
+def has_alpha(frame: av.VideoFrame) -> bool:
+    """Return whether a frame can have transparent pixels."""
+    return frame.format.has_palette or any(component.is_alpha for component in frame.format.components)
+
+
+def to_rgb(frame: av.VideoFrame, turn: int, transfer: str, size: tuple[int, int]) -> Picture:
+    """Convert a decoded frame to an upright sRGB image (H, W, 3) uint8. Transparent pixels become black.
 
     Args:
         frame: the decoded frame.
         turn: angle in degrees by which the image is turned counter-clockwise: 0, 90, 180 or 270.
         transfer: HDR transfer function of the frame, see :func:`transfer_of`.
-        scale: factor in (0, 1] that multiplies width and height. The size is rounded to whole pixels.
+        size: width and height in pixels before the turn. The frame is stretched or scaled down to this size.
     """
     if transfer:
         rgb = _tone_map(_hdr_signal(frame), transfer)
+    elif has_alpha(frame):
+        rgba = np.asarray(frame.to_ndarray(format="rgba"), np.uint16)
+        rgb = ((rgba[..., :3] * rgba[..., 3:] + 127) // 255).astype(np.uint8)
     else:
         rgb = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
-    if scale != 1:
-        size = reduced_size(rgb.shape[1], rgb.shape[0], scale)
-        rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+    if rgb.shape[1::-1] != size:
+        is_smaller = size[0] <= rgb.shape[1] and size[1] <= rgb.shape[0]
+        rgb = np.asarray(
+            cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if is_smaller else cv2.INTER_CUBIC), np.uint8
+        )
     return np.ascontiguousarray(np.rot90(rgb, turn // 90), np.uint8)
 
 

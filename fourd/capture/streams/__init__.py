@@ -1,0 +1,1 @@
+"""Videos: their containers, the index of their frames, and reading of frames by number."""
