@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -35,7 +36,8 @@ def interpolate(
             the B images, or (1, V, C) or (V, C) with attributes that all images share.
         rast: (B, H, W, 4) result of ``rasterize``.
         tri: (T, 3) int32 vertex indices of the triangles.
-        rast_db: (B, H, W, 4) derivatives from ``rasterize``, required if ``diff_attrs`` is given.
+        rast_db: (B, H, W, 4) derivatives from ``rasterize``, required if ``diff_attrs`` selects channels, and otherwise
+            ignored.
         diff_attrs: channels whose derivatives are computed: a list (negative indices count from the end), or "all".
         backend, threads: see ``rasterize``.
 
@@ -59,7 +61,7 @@ def interpolate(
         raise ValueError(f"attr: expected 1 or {rast.shape[0]} meshes, as rast has images, got {attributes.shape[0]}")
     tri = check_triangles(tri, attributes.shape[1], like, check_values=attributes.device.type == "cpu")
     diff = _channels(diff_attrs, attributes.shape[2])
-    if rast_db is not None and (diff or rast_db.shape != (*rast.shape[:3], 0)):
+    if rast_db is not None and diff:
         check_tensor("rast_db", rast_db, tuple(rast.shape), like=like)
     if diff and rast_db is None:
         raise ValueError("rast_db: expected the derivatives from rasterize, because diff_attrs is not empty, got None")
@@ -89,9 +91,9 @@ def _channels(diff_attrs: Literal["all"] | Sequence[int] | None, channels: int) 
         return list(range(channels))
     chosen = []
     for channel in diff_attrs:
-        if isinstance(channel, bool) or not isinstance(channel, int):
+        if isinstance(channel, bool) or not isinstance(channel, int | np.integer):
             raise TypeError(f"diff_attrs: expected integers, got {channel!r}")
         if not -channels <= channel < channels:
             raise ValueError(f"diff_attrs: expected channels from {-channels} to {channels - 1}, got {channel}")
-        chosen.append(channel % channels)
+        chosen.append(int(channel) % channels)
     return chosen

@@ -11,7 +11,7 @@ import torch
 
 import fourd.raster.nvdiffrast as dr
 
-SCRIPTS = Path(__file__).parent / "nvdiffrast_scripts"
+SCRIPTS = Path(__file__).parent / "scripts"
 
 
 def run(name: str, folder: Path) -> dict[str, Any]:

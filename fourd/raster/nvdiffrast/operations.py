@@ -1,7 +1,7 @@
 """The operations of :mod:`fourd.raster.triangles` under the names and arguments of ``nvdiffrast.torch``.
 
-A script that was written for ``nvdiffrast.torch`` runs unchanged with ``import fourd.raster.nvdiffrast as dr``. Each
-operation runs on the device of its tensors, so the script also runs without a GPU.
+:mod:`fourd.raster.nvdiffrast.arguments` accepts the arguments that nvdiffrast accepts and fourd.raster.triangles does
+not.
 """
 
 from __future__ import annotations
@@ -10,25 +10,14 @@ import logging
 from collections.abc import Sequence
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from fourd.raster import triangles
+from fourd.raster.nvdiffrast import arguments
 
-__all__ = [
-    "DepthPeeler",
-    "RasterizeCudaContext",
-    "RasterizeGLContext",
-    "antialias",
-    "antialias_construct_topology_hash",
-    "get_log_level",
-    "interpolate",
-    "rasterize",
-    "set_log_level",
-    "texture",
-    "texture_construct_mip",
-]
-
+_LOGGER = "fourd.raster.nvdiffrast"
 _LOG_LEVELS = (logging.INFO, logging.WARNING, logging.ERROR, logging.CRITICAL)
 
 
@@ -73,8 +62,10 @@ def rasterize(
     ranges: Tensor | None = None,
     grad_db: bool = True,
 ) -> tuple[Tensor, Tensor]:
-    """See :func:`fourd.raster.triangles.rasterize`."""
+    """See :func:`fourd.raster.triangles.rasterize`. ``ranges`` is ignored if ``pos`` is (B, V, 4), and triangles with a
+    vertex index out of range are not drawn; both give a warning."""
     has_db = _has_db(glctx)
+    tri, ranges = arguments.mesh(pos, tri, ranges)
     return triangles.rasterize(pos, tri, _size(resolution), ranges=ranges, output_db=has_db, grad_db=grad_db and has_db)
 
 
@@ -91,6 +82,7 @@ class DepthPeeler(triangles.DepthPeeler):
         grad_db: bool = True,
     ) -> None:
         has_db = _has_db(glctx)
+        tri, ranges = arguments.mesh(pos, tri, ranges)
         super().__init__(pos, tri, _size(resolution), ranges=ranges, output_db=has_db, grad_db=grad_db and has_db)
 
 
@@ -99,10 +91,16 @@ def interpolate(
     rast: Tensor,
     tri: Tensor,
     rast_db: Tensor | None = None,
-    diff_attrs: Literal["all"] | Sequence[int] | None = None,
+    diff_attrs: Literal["all"] | Sequence[int] | np.ndarray | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """See :func:`fourd.raster.triangles.interpolate`."""
-    return triangles.interpolate(attr, rast, tri, rast_db, diff_attrs)
+    """See :func:`fourd.raster.triangles.interpolate`. ``rast_db`` is ignored if ``diff_attrs`` selects no channel.
+    Channels beyond those of ``attr`` have the derivatives 0, and pixels whose triangle has a vertex index out of range
+    have the value 0; both give a warning."""
+    channels = arguments.channels(diff_attrs, attr)
+    tri, rast = arguments.shown_triangles(attr, rast, tri)
+    known = [channel for channel in channels if -attr.shape[-1] <= channel < attr.shape[-1]]
+    out, out_da = triangles.interpolate(attr, rast, tri, rast_db if known else None, known)
+    return out, arguments.spread(out_da, channels, known)
 
 
 def texture(
@@ -115,13 +113,19 @@ def texture(
     boundary_mode: Any = "wrap",
     max_mip_level: int | None = None,
 ) -> Tensor:
-    """See :func:`fourd.raster.triangles.texture`."""
-    return triangles.texture(tex, uv, uv_da, mip_level_bias, mip, filter_mode, boundary_mode, max_mip_level)
+    """See :func:`fourd.raster.triangles.texture`. ``uv_da`` and ``mip_level_bias`` are ignored if ``filter_mode`` uses
+    no mip levels, and ``max_mip_level`` limits only the levels that are built in this call, unless it is 0."""
+    most = None if max_mip_level is None else int(max_mip_level)
+    if mip is not None and most != 0:
+        most = None
+    filter_mode, uv_da, bias = arguments.level_inputs(filter_mode, uv_da, mip_level_bias)
+    return triangles.texture(tex, uv, uv_da, bias, mip, filter_mode, boundary_mode, most)
 
 
 def texture_construct_mip(tex: Tensor, max_mip_level: int | None = None, cube_mode: bool = False) -> triangles.Mip:
     """See :func:`fourd.raster.triangles.texture_construct_mip`."""
-    return triangles.texture_construct_mip(tex, max_mip_level, cube_mode)
+    most = None if max_mip_level is None else int(max_mip_level)
+    return triangles.texture_construct_mip(tex, most, cube_mode)
 
 
 def antialias(
@@ -132,13 +136,15 @@ def antialias(
     topology_hash: triangles.Topology | None = None,
     pos_gradient_boost: float = 1.0,
 ) -> Tensor:
-    """See :func:`fourd.raster.triangles.antialias`."""
+    """See :func:`fourd.raster.triangles.antialias`. Triangles with a vertex index out of range are ignored, with a
+    warning."""
+    tri, _ = arguments.usable_triangles(tri, pos.shape[-2])
     return triangles.antialias(color, rast, pos, tri, topology_hash, pos_gradient_boost)
 
 
 def antialias_construct_topology_hash(tri: Tensor) -> triangles.Topology:
     """See :func:`fourd.raster.triangles.antialias_construct_topology`."""
-    return triangles.antialias_construct_topology(tri)
+    return triangles.antialias_construct_topology(arguments.usable_triangles(tri, 2**31 - 1)[0])
 
 
 def set_log_level(level: int) -> None:
@@ -146,12 +152,12 @@ def set_log_level(level: int) -> None:
     for fatal errors. The operations themselves log no messages."""
     if level not in range(len(_LOG_LEVELS)):
         raise ValueError(f"level: expected 0 to {len(_LOG_LEVELS) - 1}, got {level!r}")
-    logging.getLogger(__name__).setLevel(_LOG_LEVELS[level])
+    logging.getLogger(_LOGGER).setLevel(_LOG_LEVELS[level])
 
 
 def get_log_level() -> int:
     """Return the level that :func:`set_log_level` has set, initially 1."""
-    level = logging.getLogger(__name__).level
+    level = logging.getLogger(_LOGGER).level
     return _LOG_LEVELS.index(level) if level in _LOG_LEVELS else 1
 
 
