@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fourd.errors import UserError
 from fourd.files import atomic_path
+from fourd.formats.ply_colours import GREY, convert_colours, find_colours, require_opaque
 from fourd.limits import open_regular
 
 TYPES = {
@@ -74,25 +75,43 @@ def write_vertices(path: Path | str, rows: NDArray[Any]) -> None:
 def read_ply(path: Path | str) -> ColouredPoints:
     """Read the vertices of a PLY file, which may be ASCII or binary of either byte order.
 
-    Colours may have the type uchar, or float with values in [0, 1]. Points without colours become medium grey. All
-    other vertex properties, and all elements after the vertices, are skipped.
+    Colours may have the names, types and ranges that :mod:`fourd.formats.ply_colours` describes. Points without colours
+    become medium grey. All other vertex properties, and all elements after the vertices, are skipped.
 
     Raises:
-        UserError: if the file is missing, is not a PLY file, is shorter than its header declares, lacks x, y or z, or
-            contains coordinates that are not finite. The error message names the file.
+        UserError: if the file is missing, is not a PLY file, is shorter than its header declares, lacks x, y or z,
+            contains coordinates that are not finite, has colours whose range is not clear, or has transparent points.
+            The error message names the file.
     """
     path = Path(path)
-    return _points(path, read_vertices(path))
+    header, rows = _read_rows(path)
+    xyz = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
+    if not np.isfinite(xyz).all():
+        raise _invalid(
+            path, "finite coordinates", f"{int((~np.isfinite(xyz)).any(axis=1).sum())} points with NaN or infinity"
+        )
+    names = find_colours(path, header.names)
+    if names is None:
+        return ColouredPoints(xyz, np.full(xyz.shape, GREY, dtype=np.uint8))
+    if "alpha" in header.names:
+        require_opaque(path, rows["alpha"].astype(np.float64))
+    types = dict(header.properties)
+    values = np.stack([rows[name] for name in names], axis=1).astype(np.float64)
+    return ColouredPoints(xyz, convert_colours(path, values, {name: types[name] for name in names}))
 
 
 def read_vertices(path: Path) -> NDArray[Any]:
     """Read the vertices of a PLY file as a structured array (N,) with one field for each property.
 
     Raises:
-        UserError: in the same cases as :func:`read_ply`, but coordinates that are not finite cause no error.
+        UserError: in the same cases as :func:`read_ply`, but the values themselves cause no error.
     """
+    return _read_rows(path)[1]
+
+
+def _read_rows(path: Path) -> tuple[PlyHeader, NDArray[Any]]:
     header, body = _read(path, -1)
-    return _ascii_rows(path, header, body) if header.order is None else _binary_rows(path, header, body)
+    return header, _ascii_rows(path, header, body) if header.order is None else _binary_rows(path, header, body)
 
 
 def read_faces(path: Path) -> NDArray[np.int32]:
@@ -256,21 +275,6 @@ def _ascii_rows(path: Path, header: PlyHeader, body: bytes) -> NDArray[Any]:
     for i, (name, code) in enumerate(header.properties):
         rows[name] = values[:, i].clip(0, 255) if code == "u1" else values[:, i]
     return rows
-
-
-def _points(path: Path, rows: NDArray[Any]) -> ColouredPoints:
-    xyz = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
-    if not np.isfinite(xyz).all():
-        raise _invalid(
-            path, "finite coordinates", f"{int((~np.isfinite(xyz)).any(axis=1).sum())} points with NaN or infinity"
-        )
-    rgb = np.full(xyz.shape, 128, dtype=np.uint8)
-    if {"red", "green", "blue"} <= set(rows.dtype.names or ()):
-        colours = np.stack([rows[name] for name in ("red", "green", "blue")], axis=1)
-        if colours.dtype.kind == "f":
-            colours = np.rint(np.nan_to_num(colours) * 255)
-        rgb = colours.clip(0, 255).astype(np.uint8)
-    return ColouredPoints(xyz, rgb)
 
 
 def _truncated(path: Path, declared: int, found: int) -> UserError:

@@ -9,6 +9,7 @@ import numpy as np
 from fourd.baking.meshes.mesh import Mesh
 from fourd.errors import UserError
 from fourd.formats.ply import read_faces, read_ply, read_vertices
+from fourd.formats.ply_colours import find_colours
 
 _NORMALS = ("nx", "ny", "nz")
 
@@ -22,7 +23,7 @@ def read_ply_mesh(path: Path) -> Mesh:
     triangles, points, rows = read_faces(path), read_ply(path), read_vertices(path)
     names = rows.dtype.names or ()
     has_normals = set(_NORMALS) <= set(names)
-    has_colours = {"red", "green", "blue"} <= set(names)
+    has_colours = find_colours(path, frozenset(names)) is not None
     try:
         return Mesh(
             xyz=points.xyz,
