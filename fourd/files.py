@@ -9,8 +9,9 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePath
 
+from fourd.errors import UserError
 from fourd.limits import require_regular
 
 if sys.platform != "win32":
@@ -157,6 +158,22 @@ def resolved(path: Path | str) -> Path:
     Links that form a loop are kept. (Before Python 3.13, Path.resolve raises RuntimeError for them.)
     """
     return Path(os.path.realpath(path))
+
+
+def require_suffix(target: object, suffixes: tuple[str, ...], what: str) -> None:
+    """Raise UserError unless the name of an output ends in one of ``suffixes``, in upper or lower case.
+
+    Args:
+        target: a path or a URL.
+        suffixes: the suffixes, in lower case.
+        what: names the output in the message, for example "a scene".
+    """
+    name = PurePath(str(target))
+    if name.suffix.lower() not in suffixes:
+        listed = " or ".join(suffixes)
+        got = f"the suffix {name.suffix}" if name.suffix else "no suffix"
+        example = PurePath(name.stem or "file").with_suffix(suffixes[0])
+        raise UserError(f"{target}: expected a name that ends in {listed} for {what}, got {got}; write {example}")
 
 
 def is_unused(folder: Path | str) -> bool:

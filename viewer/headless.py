@@ -46,7 +46,7 @@ class Headless:
     settings: DisplaySettings
 
     def video(self, out: Path, path: str, steps: int | None, fps: float | None, console: Console) -> int:
-        """Write an MP4 of the scene along a camera path.
+        """Write a video of the scene along a camera path. The suffix of ``out`` determines the format.
 
         ``path`` is "orbit", "spiral", "cameras" or a path file that was recorded in the window. A recorded path also
         contains the index of the scene's frame that each image shows. On the other paths, the scene plays in a loop.

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import tyro
 
+from fourd.cli.outputs import READS, WRITES
 from fourd.errors import UserError
 from fourd.progress import Terminal, Track, Tracker
 from fourd.storage import Location, StorageUrl, local_copy, parse_location
@@ -24,9 +25,9 @@ PATH_OR_URL: tyro.constructors.PrimitiveConstructorSpec[Location] = tyro.constru
 )
 """Converts a command-line word to a path or to a URL."""
 
-CaptureLocation = tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="CAPTURE")]]
-SceneLocation = tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="SCENE")]]
-OutLocation = Annotated[Location, PATH_OR_URL, tyro.conf.arg(aliases=["-o"])]
+CaptureLocation = tyro.conf.Positional[Annotated[Location, READS, PATH_OR_URL, tyro.conf.arg(metavar="CAPTURE")]]
+SceneLocation = tyro.conf.Positional[Annotated[Location, READS, PATH_OR_URL, tyro.conf.arg(metavar="SCENE")]]
+OutLocation = Annotated[Location, WRITES, PATH_OR_URL, tyro.conf.arg(aliases=["-o"])]
 
 
 @contextmanager

@@ -245,6 +245,7 @@ def _run(command: str, words: list[str]) -> int:
     import tyro
 
     from fourd.cli.locations import refuse_urls
+    from fourd.cli.outputs import refuse_overwriting
 
     if command not in COMMANDS:
         near = difflib.get_close_matches(command, COMMANDS, n=1)
@@ -262,6 +263,7 @@ def _run(command: str, words: list[str]) -> int:
             config=(tyro.conf.OmitArgPrefixes,),
         )
     refuse_urls(arguments, words)
+    refuse_overwriting(arguments)
     code = module.run(arguments)
     return 0 if code is None else int(code)
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 from fourd.capture.video_list import MAX_OFFSET
+from fourd.cli.outputs import READS
 from fourd.errors import UserError
 from fourd.parallel import core_count
 
@@ -31,9 +32,9 @@ def option(metavar: str, default: str, text: str | None = None) -> Any:
     return tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=f"(default: {default})")
 
 
-CapturePath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CAPTURE")]]
-ScenePath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]]
-RunPath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
+CapturePath = tyro.conf.Positional[Annotated[Path, READS, tyro.conf.arg(metavar="CAPTURE")]]
+ScenePath = tyro.conf.Positional[Annotated[Path, READS, tyro.conf.arg(metavar="SCENE")]]
+RunPath = tyro.conf.Positional[Annotated[Path, READS, tyro.conf.arg(metavar="RUN")]]
 Views = Annotated[str | None, option("NAME,NAME", "all", VIEWS_HELP)]
 Frames = Annotated[str | None, option("A:B[:S]", "all", FRAMES_HELP)]
 FramesPerSecond = Annotated[
@@ -47,6 +48,7 @@ FramesPerSecond = Annotated[
 Workers = Annotated[int | None, option("N", "one per core", "Number of processes.")]
 LpipsWeights = Annotated[
     Path | None,
+    READS,
     option("PATH", LPIPS_DEFAULT, "File or folder with the weights of VGG-16 and LPIPS."),
 ]
 
@@ -74,6 +76,7 @@ StyleName = Annotated[
 
 PageStyles = Annotated[
     tyro.conf.UseAppendAction[tuple[Path, ...]],
+    READS,
     option(
         "FILE.yaml",
         "none",

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from fourd.cli.options import FRAMES_HELP, VIEWS_HELP, LpipsWeights, describe, option, split_names
+from fourd.cli.outputs import READS
 from fourd.configs import assigned_keys, load_overlay, set_values
 from fourd.errors import UserError
 from fourd.ops.gpu import DeviceName
@@ -74,7 +75,7 @@ class TrainingOptions:
     """object: reconstruct only the foreground that the mattes cover, and render it in front of black. full: also
     reconstruct a static background. With full, a capture needs no mattes if nothing moves in it or if it has only one
     frame."""
-    config: Annotated[Path | None, option("FILE.yaml", "none")] = None
+    config: Annotated[Path | None, READS, option("FILE.yaml", "none")] = None
     """YAML file with config keys. docs/configuration.md lists all keys."""
     assignments: Annotated[
         tuple[str, ...],
@@ -100,7 +101,7 @@ class TrainingOptions:
     segment: Annotated[int | None, _config_option("segment", "INT", SEGMENT_HELP)] = None
     warm_start: bool = False
     """With --segment: start the networks of each segment from the trained networks of the previous segment."""
-    points_from: Annotated[Path | None, option("DIR", "points are carved from the mattes")] = None
+    points_from: Annotated[Path | None, READS, option("DIR", "points are carved from the mattes")] = None
     """Folder with your own initial points in world units, as one PLY file per frame: 000000.ply and so on."""
     accept_mattes: bool = False
     """Train even if the visual hull covers less than a third of the area of the mattes."""

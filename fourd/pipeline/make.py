@@ -11,7 +11,7 @@ from pathlib import Path
 from fourd.capture.frame_rate import set_rate
 from fourd.capture.layout import DERIVED, MATTES
 from fourd.errors import UserError
-from fourd.files import atomic_path, is_unused, remove_unfinished, remove_unfinished_file
+from fourd.files import atomic_path, is_unused, remove_unfinished, remove_unfinished_file, require_suffix
 from fourd.importing.importer import ImportOptions
 from fourd.matting.sequence import MatteSettings, chosen_method, forget_choice
 from fourd.pipeline.capture_graph import has_masks, stages_to_capture
@@ -29,6 +29,7 @@ from fourd.pipeline.still_scenes import stands_still, still_config
 from fourd.pipeline.stored.cache import cache_folder
 from fourd.pipeline.stored.rate import rate_stage
 from fourd.pipeline.stored.results import StoredResults
+from fourd.pipeline.work_folder import RUN
 from fourd.processes import locked_folder
 from fourd.storage import Location, StorageUrl, check_writable, upload_changed
 from fourd.training.config import TrainConfig
@@ -39,7 +40,6 @@ RECORD = "stages.json"
 CAPTURE = "capture"
 REPAIRED = "repaired"
 STILL = "still"
-RUN = "run"
 SCENE = "scene.4dv"
 """Name of the scene file in the folder for intermediate results, if this folder is in an object store. From there, the
 finished file is copied to the path or URL of the option -o."""
@@ -96,13 +96,15 @@ def make_scene(
     keep_chosen_mattes: bool = False,
     cluster: Cluster | None = None,
     work: Location | None = None,
+    force: bool = False,
 ) -> None:
     """Run every stage from ``source`` to the scene file ``out``.
 
     Intermediate results are kept in the folder ``work``. It contains the run (``run/``) and the record of the stages
     (``stages.json``). ``work`` also contains the imported capture (``capture/``) if ``source`` needs an import, and the
     corrected capture (``repaired/``) if the stage ``repair`` corrects the calibration. After a change of an input or a
-    setting, the next call repeats only the stages that depend on it. Interrupted stages resume.
+    setting, the next call repeats only the stages that depend on it. Interrupted stages resume. If other settings would
+    replace a trained run, it is kept as ``run.1`` and so on; if ``work`` is a URL, this is an error.
 
     Args:
         source: a capture, or any source that :mod:`fourd.importing` can read. A URL is copied to ``work/source/``.
@@ -111,34 +113,33 @@ def make_scene(
         mattes: settings of the mattes. Mattes are made only if the capture has no masks.
         context: console, and number of processes.
         points_from: folder with the user's points as FRAME.ply files, which replace the carved points.
-        lpips_weights: file or folder with the weights of LPIPS. If None, the default locations are searched; see
-            :func:`~fourd.training.losses.lpips.load_lpips`.
-        imports: options of the import; None for the default options. If ``source`` is a capture that needs no import,
-            the frame rate of the options, if any, is stored in this capture.
+        lpips_weights: the weights of LPIPS; see :func:`~fourd.training.losses.lpips.load_lpips`.
+        imports: options of the import. If ``source`` is a capture, their frame rate, if any, is stored in it.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
-        keep_chosen_mattes: whether to keep mattes whose method the user chose with ``fourd matte``. If false, they are
-            replaced by mattes with the settings in ``mattes``.
+        keep_chosen_mattes: whether to keep mattes whose method the user chose with ``fourd matte``.
         cluster: the cluster on which the stages run. If None, the stages run in this process.
         work: the folder for intermediate results. If None, it has the name of ``out`` with the suffix ``.work``, and is
             beside ``out``, or in the current folder if ``out`` is a URL. If ``work`` is a URL, each machine works in a
             local copy and publishes the results of each stage; see :mod:`fourd.pipeline.stored`.
+        force: whether to remove trained runs that other settings replace.
 
     Raises:
-        UserError: if the input is invalid, if a store refuses a request, or if the folder for intermediate results
-            exists but was not created by ``fourd make``.
+        UserError: if the input is invalid, if a store refuses a request, or if the folder for intermediate results has
+            other files or belongs to another scene.
     """
+    require_suffix(out, (".4dv",), "a scene")
     run = RunRequest(Path(), Path(), train, points_from, lpips_weights, accept_mattes=accept_mattes)
     choice = MatteChoice(mattes, keep_chosen_mattes)
     request = SceneRequest(source, out, run, choice, imports or ImportOptions(), context)
     execute = run_here if cluster is None else cluster.execute
     if isinstance(work, StorageUrl):
-        _make_stored(request, work, execute, cluster is not None)
+        _make_stored(request, work, execute, is_parallel=cluster is not None, force=force)
         return
     folder = _work_folder(out, work)
     if isinstance(out, StorageUrl):
         check_writable(out)
     with locked_folder(folder):
-        runner = Runner(context, folder / RECORD, execute, is_parallel=cluster is not None)
+        runner = Runner(context, folder / RECORD, execute, is_parallel=cluster is not None, force=force)
         _make_in_folder(request, folder, runner)
 
 
@@ -146,6 +147,7 @@ def _make_in_folder(request: SceneRequest, folder: Path, runner: Runner) -> None
     """Run the stages of :func:`make_scene` in the local ``folder``, which is locked."""
     folder.mkdir(parents=True, exist_ok=True)
     remove_unfinished(folder, deep=True)
+    runner.claim(request.out)
     given, out = _local_source(request.source, folder, runner), request.out
     scene = out if isinstance(out, Path) else folder / out.name
     _run_graph(request, replace(request.run, capture=given, run=folder / RUN), folder, scene, runner)
@@ -153,7 +155,7 @@ def _make_in_folder(request: SceneRequest, folder: Path, runner: Runner) -> None
         upload_changed(scene, out, folder / UPLOADED, request.context.track)
 
 
-def _make_stored(request: SceneRequest, url: StorageUrl, execute: Execute, is_parallel: bool) -> None:
+def _make_stored(request: SceneRequest, url: StorageUrl, execute: Execute, *, is_parallel: bool, force: bool) -> None:
     """Run the stages of :func:`make_scene`, and store the results at ``url``. The stages work in a local copy of
     ``url``, whose path can differ between machines. Paths of inputs must be valid on every machine, so relative paths
     of the source, the user's points and the LPIPS weights are made absolute."""
@@ -165,7 +167,7 @@ def _make_stored(request: SceneRequest, url: StorageUrl, execute: Execute, is_pa
     root = cache_folder(url)
     with locked_folder(root):
         remove_unfinished(root, deep=True)
-        stored = StoredResults(url, request.source, context)
+        stored = StoredResults(url, request.source, context, force=force)
         runner = Runner(context, None, execute, is_parallel=is_parallel, stored=stored)
         background = replace(given.train.background, seeds=_absolute(given.train.background.seeds))
         run = replace(

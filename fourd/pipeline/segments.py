@@ -79,6 +79,7 @@ def divide_stage(files: TrainFiles, config: TrainConfig) -> Stage[DivideFiles, T
         outputs=(files.run / CONFIG_NAME,),
         leftovers=(Leftovers(files.run, keep=(*PREPARATION, SEGMENTS)),),
         after=PREPARED_BY,
+        starts_run=True,
     )
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from rich.console import Console
 
@@ -114,6 +114,23 @@ class Leftovers:
 
 
 @dataclass(frozen=True)
+class StageState:
+    """Everything on which the result of a stage depends.
+
+    Attributes:
+        key: hash of the other attributes.
+        settings: the value of each setting as text, by its name. Names of nested settings are joined by dots.
+        inputs: the fingerprint of each input, by its path.
+        before: the key of each earlier stage on which the stage depends, by its name.
+    """
+
+    key: str
+    settings: Mapping[str, str]
+    inputs: Mapping[str, str]
+    before: Mapping[str, str]
+
+
+@dataclass(frozen=True)
 class Stage(Generic[Files, Settings]):
     """One step of the pipeline. A stage is picklable, so a runner can execute it in another process or on another
     machine.
@@ -134,6 +151,8 @@ class Stage(Generic[Files, Settings]):
         is_portable: whether the stage can run on a machine that shares no folder with the machine that created the
             stage.
         has_checkpoints: whether the stage writes checkpoints, from which another machine can continue its work.
+        starts_run: whether the stage starts the training in the run folder ``leftovers[0].folder``. The runner may
+            instead bring back a run that it kept when an earlier command had other settings.
     """
 
     name: str
@@ -147,6 +166,26 @@ class Stage(Generic[Files, Settings]):
     is_parallel: bool = False
     is_portable: bool = False
     has_checkpoints: bool = False
+    starts_run: bool = False
+
+    def state(self, keys: Mapping[str, str], root: Path | None = None) -> StageState:
+        """Return everything on which the result of the stage depends, in readable form, and its hash.
+
+        The arguments are those of :meth:`key`.
+        """
+        inputs = [(str(artefact.path), artefact.fingerprint(root)) for artefact in self.inputs]
+        before = {name: keys[name] for name in self.after if name in keys}
+        parts = [
+            self.name,
+            json.dumps(asdict(self.settings), sort_keys=True, default=str),
+            *(fingerprint for _, fingerprint in inputs),
+            *before.values(),
+        ]
+        return StageState(_digest(parts), self.readable_settings(), dict(inputs), before)
+
+    def readable_settings(self) -> dict[str, str]:
+        """Return the value of each setting as text, by its name. Names of nested settings are joined by dots."""
+        return dict(_readable(asdict(self.settings)))
 
     def key(self, keys: Mapping[str, str], root: Path | None = None) -> str:
         """Return a hash of everything on which the result of the stage depends.
@@ -157,13 +196,7 @@ class Stage(Generic[Files, Settings]):
             root: folder for intermediate results, or None. Its path may differ between machines, so the key does not
                 depend on it.
         """
-        parts = [
-            self.name,
-            json.dumps(asdict(self.settings), sort_keys=True, default=str),
-            *(artefact.fingerprint(root) for artefact in self.inputs),
-            *(keys[name] for name in self.after if name in keys),
-        ]
-        return _digest(parts)
+        return self.state(keys, root).key
 
     def is_finished(self) -> bool:
         """Return True if all outputs exist."""
@@ -172,6 +205,25 @@ class Stage(Generic[Files, Settings]):
     def run(self, context: Context | None = None) -> None:
         """Execute the work of the stage. If ``context`` is None, the work uses one process and prints nothing."""
         self.work(self.files, self.settings, context or Context())
+
+
+def _readable(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the dotted name and the text of each setting in nested dictionaries."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _readable(item, f"{name}.{key}" if name else str(key))
+    else:
+        yield name, _text(value)
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "not set"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, tuple | list):
+        return ", ".join(_text(item) for item in value) or "none"
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _place(path: Path, root: Path | None) -> str:

@@ -193,7 +193,7 @@ def test_segments_are_trained_on_a_cluster(cluster: Cluster, tmp_path: Path, mon
     make_scene(Path("capture"), Path("scene.4dv"), config, MatteSettings(), Context(), cluster=cluster)
     with open_scene(tmp_path / "scene.4dv") as scene:
         assert scene.manifest.frame_numbers == tuple(range(12))
-    record = json.loads((tmp_path / "scene.work" / "stages.json").read_text())
+    record = json.loads((tmp_path / "scene.work" / "stages.json").read_text())["stages"]
     assert {"train 000", "train 001", "train 002", "bake"} <= record.keys()
 
 

@@ -133,7 +133,10 @@ def test_an_empty_machine_reuses_finished_stages(
     names = ("import", "check", "repair", "mattes", "plates", "carve", "train", "bake")
     assert states(capsys.readouterr().out) == dict.fromkeys(names, "up to date")
     assert (second / "other.4dv").read_bytes() == (first / "scene.4dv").read_bytes()
-    machines.make(source, f"{bucket.url}/scene.4dv", "--set", "rates.planes=1e-3")
+    words = machines.words(source, f"{bucket.url}/scene.4dv", "--set", "rates.planes=1e-3")
+    assert main(words) == 2
+    assert "the finished run of 2 steps in this folder, got others (rates.planes: " in capsys.readouterr().err
+    assert main([*words, "--force"]) == 0
     found = states(capsys.readouterr().out)
     assert [name for name in names if found[name] == "running"] == ["train", "bake"]
     machines.enter("first")
@@ -154,7 +157,8 @@ def test_segments_of_an_earlier_division_are_removed(
     segments = cache_folder(machines.work) / "run" / "segments"
     assert sorted(path.name for path in segments.iterdir()) == ["000", "001"]
     machines.enter("second")
-    machines.make(source, "scene.4dv")
+    assert main(machines.words(source, "scene.4dv")) == 2, "the segments would be lost"
+    machines.make(source, "scene.4dv", "--force")
     units = {path.split("/")[3] for path in bucket.files.find(f"{bucket.name}/work/units")}
     assert "train" in units
     assert "train-000" not in units
@@ -163,7 +167,8 @@ def test_segments_of_an_earlier_division_are_removed(
     assert not list(segments.glob("*"))
     assert (first / "scene.4dv").read_bytes() == (machines.folder / "second" / "scene.4dv").read_bytes()
     capsys.readouterr()
-    machines.make(source, "scene.4dv", *SEGMENTS)
+    capsys.readouterr()
+    machines.make(source, "scene.4dv", *SEGMENTS, "--force")
     assert states(capsys.readouterr().out)["train 001"] == "running"
 
 
@@ -172,7 +177,7 @@ def test_a_kill_in_the_middle_of_an_upload_leaves_the_old_result(
 ) -> None:
     """Catches results that mix the files of two executions, and files of a killed upload that stay in the store."""
     put_folder(bucket.files, ball, f"{bucket.name}/ball")
-    source, options = f"{bucket.url}/ball", ("--points", 400)
+    source, options = f"{bucket.url}/ball", ("--points", 400, "--force")
     machines.enter("first")
     machines.make(source, "scene.4dv")
     objects = set(bucket.files.find(f"{bucket.name}/work/units/carve"))

@@ -72,8 +72,8 @@ class Command:
     def finished_segments(self) -> dict[str, dict[str, int]]:
         """Return, for each finished training stage, a mapping from its checkpoint files to their modification times."""
         record = self.work / "stages.json"
-        names = json.loads(record.read_text()) if record.exists() else {}
-        trained = [name for name in names if name.startswith(TRAINED) and not name.endswith(" started")]
+        stages = json.loads(record.read_text())["stages"] if record.exists() else {}
+        trained = [name for name, entry in stages.items() if name.startswith(TRAINED) and entry["finished"] is not None]
         return {name: self._checkpoints(name.removeprefix(TRAINED)) for name in trained}
 
     def _checkpoints(self, segment: str) -> dict[str, int]:

@@ -1,13 +1,15 @@
-"""Writes MP4 files (H.264) image by image."""
+"""Writes videos image by image: MP4 (H.264), WebM (VP9) and GIF files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import av
+import av.filter
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,47 +19,117 @@ from fourd.files import atomic_path, remove_unfinished_file
 # The value 1 stands for BT.709 as the matrix, the primaries and the transfer function (ITU-T H.273). As FFmpeg's
 # color_range, it stands for limited range.
 _BT709 = 1
-_ENCODERS = ("libx264", "libopenh264", "h264_videotoolbox", "h264")
+_GIF_MAX_FPS = 50
+"""GIF files store times in hundredths of a second, and players slow down images that are shown for less than two."""
+
+
+@dataclass(frozen=True)
+class _VideoFormat:
+    """A kind of video file.
+
+    Attributes:
+        title: name of the codec in error messages.
+        container: FFmpeg's name of the container.
+        encoders: encoders, of which the first one that PyAV has is used.
+        pixels: pixel format of the encoded images.
+    """
+
+    title: str
+    container: str
+    encoders: tuple[str, ...]
+    pixels: str = "yuv420p"
+
+
+_FORMATS = {
+    ".mp4": _VideoFormat("H.264", "mp4", ("libx264", "libopenh264", "h264_videotoolbox", "h264")),
+    ".webm": _VideoFormat("VP9", "webm", ("libvpx-vp9",)),
+    ".gif": _VideoFormat("GIF", "gif", ("gif",), "pal8"),
+}
+VIDEO_SUFFIXES = tuple(_FORMATS)
+"""Suffixes of the video files that can be written."""
+
+
+def require_video(path: Path, fps: float | None = None) -> None:
+    """Check the name of a video to be written, before its images are rendered.
+
+    Raises:
+        UserError: if the name does not end in one of VIDEO_SUFFIXES (in upper or lower case), if there is a folder of
+            this name, or if a GIF cannot have ``fps`` images per second.
+    """
+    suffix, listed = path.suffix.lower(), ", ".join(VIDEO_SUFFIXES)
+    if suffix not in _FORMATS:
+        got = f"the suffix {path.suffix}" if path.suffix else "no suffix"
+        raise UserError(f"{path}: expected a video that ends in {listed}, got {got}; write {path.stem or 'file'}.mp4")
+    if path.is_dir():
+        raise UserError(f"{path}: expected a video file, got a folder of this name; remove it or choose another name")
+    if suffix == ".gif" and fps is not None and fps > _GIF_MAX_FPS:
+        raise UserError(
+            f"{path}: expected at most {_GIF_MAX_FPS} images per second for a GIF, got {fps:g}; add --fps "
+            f"{_GIF_MAX_FPS}, or write an .mp4 or a .webm file"
+        )
+
+
+def is_video(path: Path) -> bool:
+    """Return whether an output is a video. Otherwise, it is a folder: a name without a suffix, or an existing folder.
+
+    Raises:
+        UserError: if the name has another suffix; see also :func:`require_video`.
+    """
+    if path.suffix.lower() in _FORMATS:
+        require_video(path)
+        return True
+    if path.suffix and not path.is_dir():
+        raise UserError(
+            f"{path}: expected a folder, or a video that ends in {', '.join(VIDEO_SUFFIXES)}, got the suffix "
+            f"{path.suffix}; change the suffix, or create the folder first if you want a folder of this name"
+        )
+    if path.exists() and not path.is_dir():
+        raise UserError(f"{path}: expected a folder, got a file of this name; choose another name")
+    return False
 
 
 def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *, quality: int = 18) -> int:
-    """Write images as an MP4 (H.264, yuv420p, BT.709), which every player opens.
+    """Write images as a video. The suffix of ``path`` determines the format:
+
+    - .mp4: H.264, yuv420p, BT.709, which every player opens
+    - .webm: VP9, yuv420p, BT.709
+    - .gif: a GIF that repeats, with 256 colours in each image
 
     Args:
         path: the file, which is written atomically. If ``images`` raises an exception, no file is written.
         images: RGB images (H, W, 3) of one size, as uint8 or as float in [0, 1]. They are read one by one, so
             ``images`` can be a generator, and memory use does not grow with their number. If a side is odd, the last
-            row or column is repeated, because yuv420p needs even sides.
-        fps: images per second, above 0.
+            row or column is repeated in MP4 and WebM files, because yuv420p needs even sides.
+        fps: images per second, above 0. At most 50 for a GIF.
         quality: constant rate factor (CRF) of x264, from 0 (lossless) to 51. A smaller CRF gives better quality and a
-            larger file. Other encoders ignore it.
+            larger file. VP9 gets the CRF of about the same quality. Other encoders ignore it.
 
     Returns:
         The number of images written.
 
     Raises:
-        UserError: when there is no H.264 encoder, or when ``images`` is empty.
+        UserError: when the name has another suffix, when there is no encoder, or when ``images`` is empty.
         ValueError: when an image does not have the shape of the first image.
     """
     path = Path(path)
     if not fps > 0:
         raise ValueError(f"fps: expected more than 0, got {fps}")
-    encoder = _find_encoder(path)
+    require_video(path, fps)
+    kind = _FORMATS[path.suffix.lower()]
+    encoder = _find_encoder(path, kind)
     remove_unfinished_file(path)
+    rate = Fraction(fps).limit_denominator(100_000)
+    options = {"movflags": "+faststart"} if kind.container == "mp4" else {}
     count = 0
     stream: Any = None
-    shape: tuple[int, ...] = ()
     with (
         atomic_path(path) as temporary,
-        av.open(str(temporary), "w", format="mp4", options={"movflags": "+faststart"}) as container,
+        av.open(str(temporary), "w", format=kind.container, options=options) as container,
     ):
-        for image in images:
+        for frame in _frames(images, kind, rate):
             if stream is None:
-                shape = image.shape
-                stream = _add_stream(container, encoder, shape, fps, quality)
-            if image.shape != shape:
-                raise ValueError(f"images: expected {shape} like the first image, got {image.shape} at index {count}")
-            _encode(container, stream, _to_yuv(image))
+                stream = _add_stream(container, encoder, kind, frame, rate, quality)
+            _encode(container, stream, frame)
             count += 1
         if stream is None:
             raise UserError(f"{path}: expected at least one image for a video, got none")
@@ -65,8 +137,8 @@ def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *,
     return count
 
 
-def _find_encoder(path: Path) -> str:
-    for name in _ENCODERS:
+def _find_encoder(path: Path, kind: _VideoFormat) -> str:
+    for name in kind.encoders:
         if name in av.codecs_available:
             try:
                 av.Codec(name, "w")
@@ -74,31 +146,90 @@ def _find_encoder(path: Path) -> str:
                 continue
             return name
     raise UserError(
-        f"{path}: expected FFmpeg with an H.264 encoder in PyAV, got none; "
+        f"{path}: expected FFmpeg with an encoder for {kind.title} in PyAV, got none; "
         "pip install --force-reinstall --only-binary=:all: av, or give a folder as output to get PNG images"
     )
 
 
-def _add_stream(container: Any, encoder: str, shape: tuple[int, ...], fps: float, quality: int) -> Any:
-    if len(shape) != 3 or shape[2] != 3 or min(shape) < 1:
-        raise ValueError(f"images: expected (H, W, 3), got {shape}")
-    options = {"crf": str(quality), "preset": "medium"} if encoder == "libx264" else {}
-    stream = container.add_stream(encoder, rate=Fraction(fps).limit_denominator(100_000), options=options)
-    stream.height, stream.width = (side + side % 2 for side in shape[:2])
-    stream.pix_fmt = "yuv420p"
+def _frames(images: Iterable[NDArray[Any]], kind: _VideoFormat, rate: Fraction) -> Iterator[Any]:
+    """Convert the images to frames with the pixels of the format and with their times."""
+    shape: tuple[int, ...] = ()
+    palette: _Palette | None = None
+    for count, image in enumerate(images):
+        if count == 0:
+            shape = image.shape
+            if len(shape) != 3 or shape[2] != 3 or min(shape) < 1:
+                raise ValueError(f"images: expected (H, W, 3), got {shape}")
+            palette = _Palette(shape[1], shape[0]) if kind.pixels == "pal8" else None
+        if image.shape != shape:
+            raise ValueError(f"images: expected {shape} like the first image, got {image.shape} at index {count}")
+        frame = _to_yuv(image) if palette is None else palette.apply(_to_bytes(image))
+        frame.pts, frame.time_base = count, 1 / rate
+        yield frame
+
+
+def _add_stream(container: Any, encoder: str, kind: _VideoFormat, frame: Any, rate: Fraction, quality: int) -> Any:
+    options = {}
+    if encoder == "libx264":
+        options = {"crf": str(quality), "preset": "medium"}
+    elif encoder == "libvpx-vp9":
+        # The CRF of VP9 goes from 0 to 63, and 30 looks about like 21 of x264. The bit rate 0 makes it the only limit.
+        crf = min(63, round(quality * 30 / 21))
+        options = {"crf": str(crf), "b": "0", "deadline": "good", "cpu-used": "4", "row-mt": "1"}
+    elif encoder == "gif":
+        # The encoder compares palette indices of consecutive images to store only what has changed. This would be
+        # wrong here, because each image has its own palette.
+        options = {"gifflags": "-offsetting-transdiff"}
+    stream = container.add_stream(encoder, rate=rate, options=options)
+    stream.height, stream.width, stream.pix_fmt = frame.height, frame.width, kind.pixels
     context = stream.codec_context
-    context.color_range = context.colorspace = context.color_primaries = context.color_trc = _BT709
+    if kind.pixels == "yuv420p":
+        context.color_range = context.colorspace = context.color_primaries = context.color_trc = _BT709
+    if encoder == "libvpx-vp9":
+        context.bit_rate = 0
     return stream
 
 
-def _to_yuv(image: NDArray[Any]) -> Any:
+def _to_bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
     if image.dtype != np.uint8:
         image = np.round(np.nan_to_num(np.clip(image, 0, 1)) * 255).astype(np.uint8)
-    height, width = image.shape[:2]
+    return np.ascontiguousarray(image)
+
+
+def _to_yuv(image: NDArray[Any]) -> Any:
+    rgb = _to_bytes(image)
+    height, width = rgb.shape[:2]
     if height % 2 or width % 2:
-        image = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-    frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
-    return frame.reformat(format="yuv420p", dst_colorspace="ITU709")
+        rgb = np.pad(rgb, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+    return av.VideoFrame.from_ndarray(rgb, format="rgb24").reformat(format="yuv420p", dst_colorspace="ITU709")
+
+
+class _Palette:
+    """Reduces each image to the 256 colours that fit it best, with FFmpeg's filters palettegen and paletteuse."""
+
+    def __init__(self, width: int, height: int) -> None:
+        graph = av.filter.Graph()
+        self._source = graph.add_buffer(
+            width=width, height=height, format=av.VideoFormat("rgb24"), time_base=Fraction(1, 100)
+        )
+        split, palette = graph.add("split"), graph.add("palettegen", "stats_mode=single")
+        use, self._sink = graph.add("paletteuse", "new=1:dither=sierra2_4a"), graph.add("buffersink")
+        self._source.link_to(split)
+        split.link_to(palette, 0, 0)
+        palette.link_to(use, 0, 1)
+        split.link_to(use, 1, 0)
+        use.link_to(self._sink)
+        graph.configure()
+        self._graph = graph
+        self._count = 0
+
+    def apply(self, rgb: NDArray[np.uint8]) -> Any:
+        """Return an image (H, W, 3) as a frame with a palette."""
+        frame = av.VideoFrame.from_ndarray(rgb, format="rgb24")
+        frame.pts, frame.time_base = self._count, Fraction(1, 100)
+        self._count += 1
+        self._source.push(frame)
+        return self._sink.pull()
 
 
 def _encode(container: Any, stream: Any, frame: Any) -> None:

@@ -13,6 +13,7 @@ from fourd.board_calibration.calibrate import CalibrationSettings, calibrate_rig
 from fourd.board_calibration.printing import print_board
 from fourd.boards import read_board
 from fourd.cli.options import Frames, option, parse_offsets
+from fourd.cli.outputs import READS, WRITES_WHOLE_FOLDER, Writes
 from fourd.errors import UserError
 from fourd.files import remove_unfinished_folder
 from fourd.processes import locked_folder
@@ -45,23 +46,26 @@ class Arguments:
     with --calibration.
     """
 
-    board: Path
+    board: Annotated[Path, READS]
     """TOML file that describes the board."""
     videos: tyro.conf.Positional[
-        Annotated[Path | None, tyro.conf.arg(metavar="VIDEOS", help=VIDEOS_HELP, help_behavior_hint=UNLESS_PRINTED)]
+        Annotated[
+            Path | None, READS, tyro.conf.arg(metavar="VIDEOS", help=VIDEOS_HELP, help_behavior_hint=UNLESS_PRINTED)
+        ]
     ] = None
     out: Annotated[
         Path | None,
+        WRITES_WHOLE_FOLDER,
         tyro.conf.arg(aliases=["-o"], metavar="CALIBRATION", help=OUT_HELP, help_behavior_hint=UNLESS_PRINTED),
     ] = None
-    intrinsics: Annotated[Path | None, option("FILE", "estimated from the board", INTRINSICS_HELP)] = None
+    intrinsics: Annotated[Path | None, READS, option("FILE", "estimated from the board", INTRINSICS_HELP)] = None
     floor_frame: Annotated[int | None, option("N", "axes of the first camera", FLOOR_HELP)] = None
     frames: Frames = None
     offset: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]],
         tyro.conf.arg(metavar="CAM=FRAMES", help=OFFSET_HELP, help_behavior_hint="(repeatable)"),
     ] = field(default=())
-    print_board: Annotated[Path | None, option("FILE.pdf", "none", PRINT_HELP)] = None
+    print_board: Annotated[Path | None, Writes(suffixes=(".pdf",)), option("FILE.pdf", "none", PRINT_HELP)] = None
     page: str = "A4"
     """Page size for --print-board: A4, A3, A2, letter, or WIDTHxHEIGHT in millimetres."""
 

@@ -10,6 +10,7 @@ import tyro
 
 from fourd.carving import read_bounds
 from fourd.cli.options import CapturePath, SelectionOptions, Workers, check_hull_shares, describe, option, worker_count
+from fourd.cli.outputs import WRITES
 from fourd.errors import UserError
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
@@ -30,7 +31,7 @@ class Arguments:
     capture: CapturePath
     """Capture folder: images/ or videos/, intri.yml, extri.yml, and masks/ or the output of fourd matte."""
     selection: SelectionOptions
-    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"]), option("DIR", "CAPTURE/.fourd/hulls")] = None
+    out: Annotated[Path | None, WRITES, tyro.conf.arg(aliases=["-o"]), option("DIR", "CAPTURE/.fourd/hulls")] = None
     """Folder to write the points to."""
     points: int = 65536
     """Maximum number of points per frame."""

@@ -13,6 +13,7 @@ from fourd.cameras import estimate_up
 from fourd.capture import open_capture
 from fourd.capture.layout import refuse_symlinks
 from fourd.cli.options import CapturePath, HullAgreement, HullLeastViews, Views, option, split_names
+from fourd.cli.outputs import WRITES
 from fourd.errors import UserError
 from fourd.files import remove_unfinished_file
 from fourd.progress import Terminal, Tracker
@@ -31,7 +32,7 @@ class Arguments:
 
     capture: CapturePath
     """Capture folder with masks/ or the output of fourd matte."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE")]
+    out: Annotated[Path, WRITES, tyro.conf.arg(aliases=["-o"], metavar="FILE")]
     """Mesh to write. A .glb file is in metres, with the y axis up and an unlit material. A .ply file keeps the world
     coordinates."""
     frame: int = 0

@@ -17,6 +17,7 @@ from fourd.calibration.chessboard import Board
 from fourd.calibration.scale import Distance
 from fourd.capture.frame_rate import check_rate
 from fourd.cli.options import FramesPerSecond, describe, option, parse_offsets
+from fourd.cli.outputs import READS, require_distinct
 from fourd.errors import UserError
 from fourd.files import resolved
 from fourd.importing.detection import FORMATS, pick_format
@@ -105,7 +106,7 @@ class Arguments:
             "mirrored: correct mirrored principal points.",
         ),
     ] = "auto"
-    calibration: Annotated[Path | None, option("FOLDER", "none", CALIBRATION_HELP)] = None
+    calibration: Annotated[Path | None, READS, option("FOLDER", "none", CALIBRATION_HELP)] = None
     calibrate: bool = False
     """Calibrate the cameras from the images, and ignore any calibration in SRC."""
     calibrated_frames: Annotated[
@@ -130,6 +131,8 @@ def run(arguments: Arguments) -> None:
     *name, source, out = arguments.words
     for word in (source, out):
         local_path(word, "import a capture")
+    given = () if arguments.calibration is None else (arguments.calibration,)
+    require_distinct(Path(out), [Path(source), *given])
     console = Terminal(stderr=True)
 
     def log(line: str) -> None:
@@ -140,8 +143,8 @@ def run(arguments: Arguments) -> None:
 
     check_rate(arguments.fps)
     options = _options(arguments)
-    given = None if arguments.calibration is None else VIDEOS_FORMAT
-    picked = pick_format(name[0] if name else given, Path(source))
+    default = None if arguments.calibration is None else VIDEOS_FORMAT
+    picked = pick_format(name[0] if name else default, Path(source))
     log(f"{picked.name}: {picked.summary}")
     with locked_folder(Path(out)):
         import_source(picked, Path(source), Path(out), options, log=log, warn=warn, track=Tracker(console).track)

@@ -11,6 +11,7 @@ import tyro
 
 from fourd.capture.layout import DERIVED, MATTES, refuse_symlinks
 from fourd.cli.options import CapturePath, SelectionOptions, Workers, option, worker_count
+from fourd.cli.outputs import READS, require_distinct
 from fourd.errors import UserError
 from fourd.matting.motion.paint import parse_paint
 from fourd.matting.output import SHEET
@@ -41,13 +42,13 @@ class MatteOptions:
     ] = None
     screen: Annotated[str | None, option("R,G,B", "estimated per camera")] = None
     """Colour of the screen for --method chroma, 0 to 255 per channel."""
-    rvm: Annotated[Path | None, option("FILE", "none")] = None
+    rvm: Annotated[Path | None, READS, option("FILE", "none")] = None
     """TorchScript file of Robust Video Matting, for --method rvm. TorchScript executes code: use only trusted files."""
 
-    onnx: Annotated[Path | None, option("FILE", "none")] = None
+    onnx: Annotated[Path | None, READS, option("FILE", "none")] = None
     """ONNX file for --method onnx: Robust Video Matting, or a network with one image input and one mask output. The
     package fourd[onnx] must be installed."""
-    masks: Annotated[Path | None, option("FOLDER", "none")] = None
+    masks: Annotated[Path | None, READS, option("FOLDER", "none")] = None
     """Folder with CAM/FRAME.png for --method masks. The masks must be aligned with the recorded images."""
     paint: Annotated[
         tuple[str, ...],
@@ -97,6 +98,8 @@ def run(arguments: Arguments) -> None:
     settings = MatteStageSettings(selection.names, selection.frames, arguments.mattes.settings(arguments.seed))
     context = Context(Terminal(stderr=True), worker_count(arguments.workers))
     masks = has_masks(capture)
+    if arguments.mattes.masks is not None:
+        require_distinct(capture / MATTES, [arguments.mattes.masks])
     if masks and arguments.mattes.paint:
         raise UserError(
             f"--paint: expected a capture without {MASKS}/, got {capture / MASKS}; edit these masks instead"

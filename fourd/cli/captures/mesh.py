@@ -18,6 +18,7 @@ from fourd.cli.options import (
     option,
     split_names,
 )
+from fourd.cli.outputs import READS, WRITES
 from fourd.errors import UserError
 from fourd.mesh.fitting.settings import FitSettings
 from fourd.mesh.settings import MeshFormat, MeshSettings
@@ -38,10 +39,10 @@ class Arguments:
     the mattes, and is fitted to mattes and images. Run an interrupted command again to resume it.
     """
 
-    source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CAPTURE|RUN")]]
+    source: tyro.conf.Positional[Annotated[Path, READS, tyro.conf.arg(metavar="CAPTURE|RUN")]]
     """A run folder, or a capture folder with masks/ or the output of fourd matte. For a run folder, the meshes are made
     from the run's capture, with the views, frames and refined cameras of the run."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="DIR")]
+    out: Annotated[Path, WRITES, tyro.conf.arg(aliases=["-o"], metavar="DIR")]
     """Folder to write the meshes to."""
     views: Annotated[str | None, option("NAME,NAME", "all", VIEWS_HELP)] = None
     frames: Annotated[str | None, option("A:B[:S]", "all", FRAMES_HELP)] = None

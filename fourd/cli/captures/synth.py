@@ -10,6 +10,7 @@ import tyro
 
 from fourd.capture.frame_rate import DEFAULT_FPS
 from fourd.cli.options import option
+from fourd.cli.outputs import WRITES
 from fourd.errors import UserError
 from fourd.processes import locked_folder
 from fourd.progress import Terminal, Tracker
@@ -25,7 +26,7 @@ SIZE_HELP = "Width and height of the images in pixels, 32 to 4096. With --board,
 class Arguments:
     """Repeated commands with the same options write byte-identical captures."""
 
-    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
+    out: tyro.conf.Positional[Annotated[Path, WRITES, tyro.conf.arg(metavar="OUT")]]
     """Capture folder to write. The folder must be new or empty, or contain a synthetic capture, which is replaced."""
     board: bool = False
     """Instead of a capture, make videos of a moving calibration board for fourd calibrate. The true calibration is

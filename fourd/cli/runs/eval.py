@@ -16,6 +16,7 @@ from rich.table import Table
 
 from fourd.capture.decoding import decode_rgb
 from fourd.cli.options import LpipsWeights, RunPath, option, split_names
+from fourd.cli.outputs import READS, WRITES_JSON
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
 from fourd.progress import Terminal, Tracker
@@ -43,13 +44,13 @@ class Arguments:
 
     run: RunPath
     """Run folder."""
-    json: Annotated[Path | None, option("FILE", "none")] = None
+    json: Annotated[Path | None, WRITES_JSON, option("FILE", "none")] = None
     """Write the scores of every image to this file as JSON."""
     views: Annotated[str | None, option("NAME,NAME", "the held-out views")] = None
     """Names of the cameras to evaluate, separated by commas."""
-    scene: Annotated[Path | None, option("SCENE.4dv", "none")] = None
+    scene: Annotated[Path | None, READS, option("SCENE.4dv", "none")] = None
     """Evaluate this scene file, which was exported from the run, instead of the run's model."""
-    plates: Annotated[Path | None, option("DIR", "none", PLATES_HELP)] = None
+    plates: Annotated[Path | None, READS, option("DIR", "none", PLATES_HELP)] = None
     refine_test: bool = False
     """Before evaluation, fit the pose of each evaluated camera to its images, as in BARF. The scene is not changed."""
     refine_test_colours: bool = False

@@ -19,7 +19,9 @@ from fourd.baking.rendering import Scene, open_scene
 from fourd.baking.scene import BAKED_LAYERS
 from fourd.cli.locations import OutLocation, transfer_progress
 from fourd.cli.options import TIER_HELP, Frames, MaxMbps, check_mbps, check_rendering, describe, option
+from fourd.cli.outputs import READS
 from fourd.errors import UserError
+from fourd.files import require_suffix
 from fourd.progress import Terminal, Tracker
 from fourd.storage import local_output, local_path
 from fourd.training.points.scratch import Scratch
@@ -35,7 +37,7 @@ class Arguments:
     files for other programs.
     """
 
-    source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN|SCENE")]]
+    source: tyro.conf.Positional[Annotated[Path, READS, tyro.conf.arg(metavar="RUN|SCENE")]]
     """Run folder. With --to, a .4dv file or a file of Gaussian splats is also accepted."""
     out: OutLocation
     """The .4dv file to write, or its URL such as s3://bucket/scene.4dv. With --to, a folder, or a file if one frame is
@@ -84,6 +86,7 @@ def run(arguments: Arguments) -> None:
         )
     if arguments.frames is not None or arguments.keep_axes:
         raise UserError("--frames, --keep-axes: expected also --to, got none; add --to FORMAT")
+    require_suffix(arguments.out, (".4dv",), "a scene")
     with local_output(arguments.out, transfer_progress()) as out:
         _bake(arguments, out, console)
         size = out.stat().st_size / 2**20

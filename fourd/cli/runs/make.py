@@ -14,6 +14,7 @@ from fourd.capture.frame_rate import check_rate
 from fourd.cli.captures.matte import MatteOptions
 from fourd.cli.locations import PATH_OR_URL, OutLocation
 from fourd.cli.options import FramesPerSecond, Workers, option, worker_count
+from fourd.cli.outputs import READS, WRITES
 from fourd.cli.training_options import TrainingOptions
 from fourd.errors import UserError
 from fourd.files import resolved
@@ -56,16 +57,20 @@ class Arguments:
     """
 
     capture: tyro.conf.Positional[
-        Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="VIDEOS|CAPTURE", help=SOURCE_HELP)]
+        Annotated[Location, READS, PATH_OR_URL, tyro.conf.arg(metavar="VIDEOS|CAPTURE", help=SOURCE_HELP)]
     ]
     out: OutLocation
     """The .4dv file to write. Intermediate results of scene.4dv are kept in the folder scene.work/ beside the file."""
     training: TrainingOptions
     mattes: MatteOptions
-    calibration: Annotated[Path | None, option("FOLDER", "none", CALIBRATION_HELP)] = None
+    calibration: Annotated[Path | None, READS, option("FOLDER", "none", CALIBRATION_HELP)] = None
     fps: FramesPerSecond = None
     workers: Workers = None
-    work: Annotated[Location | None, PATH_OR_URL, option("FOLDER|URL", WORK_DEFAULT, WORK_HELP)] = None
+    work: Annotated[Location | None, WRITES, PATH_OR_URL, option("FOLDER|URL", WORK_DEFAULT, WORK_HELP)] = None
+    force: bool = False
+    """Delete a trained run if this command has other settings. By default, the run is kept as scene.work/run.1,
+    run.2 and so on, and used again when a later command has its settings. With --work URL, a trained run is only
+    replaced with --force."""
     ray: Annotated[str | None, option("{auto,HOST:PORT}", "none; all stages run in this process", RAY_HELP)] = None
     ray_cores: int = 1
     """With --ray: number of cores that train each segment. All other stages use all cores of one node."""
@@ -99,6 +104,7 @@ def run(arguments: Arguments) -> None:
             keep_chosen_mattes=not arguments.mattes.is_given,
             cluster=cluster,
             work=arguments.work,
+            force=arguments.force,
         )
     console.print(
         f"{arguments.out}: written; next: fourd render {arguments.out} --path orbit --out orbit.mp4", soft_wrap=True

@@ -12,6 +12,7 @@ import tyro
 from fourd import __version__
 from fourd.cli.locations import CaptureLocation
 from fourd.cli.options import Workers, worker_count
+from fourd.cli.outputs import WRITES
 from fourd.cli.training_options import TrainingOptions
 from fourd.configs import to_yaml
 from fourd.errors import UserError
@@ -41,7 +42,7 @@ class Arguments:
     capture: CaptureLocation
     """Capture folder: images/ or videos/, intri.yml, extri.yml, and masks/ or the output of fourd matte. A URL such as
     s3://bucket/capture is copied to RUN/source/."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    out: Annotated[Path, WRITES, tyro.conf.arg(aliases=["-o"])]
     """Run folder to write: a new folder, or an existing run with --resume."""
     training: TrainingOptions
     resume: bool = False

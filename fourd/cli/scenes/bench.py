@@ -17,6 +17,7 @@ from fourd.benchmarks.peers import missing_peers
 from fourd.benchmarks.report import Row, markdown, table, to_json
 from fourd.benchmarks.timing import Clock
 from fourd.cli.options import option
+from fourd.cli.outputs import WRITES_JSON, Writes
 from fourd.files import write_text_atomically
 from fourd.progress import Terminal
 
@@ -29,9 +30,9 @@ class Arguments:
     exists. The environment variables FOURD_THREADS and FOURD_SIMD set the number of threads and the instruction set of
     the CPU kernels."""
 
-    json: Annotated[Path | None, option("FILE", "none")] = None
+    json: Annotated[Path | None, WRITES_JSON, option("FILE", "none")] = None
     """Write all measurements to this file as JSON."""
-    markdown: Annotated[Path | None, option("FILE", "none")] = None
+    markdown: Annotated[Path | None, Writes(suffixes=(".md", ".markdown")), option("FILE", "none")] = None
     """Write the table to this file as Markdown."""
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Run in less than a minute: fewer repetitions, no whole training steps, no timing of other implementations."""

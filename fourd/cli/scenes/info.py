@@ -18,6 +18,7 @@ from rich.text import Text
 from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES
 from fourd.cli.locations import PATH_OR_URL, scene_or_copy
+from fourd.cli.outputs import READS
 from fourd.errors import UserError
 from fourd.limits import MAX_CONFIG_BYTES, open_regular, read_limited, require_regular
 from fourd.processes.isolation import ParserProcess
@@ -34,14 +35,14 @@ _NAMES_SHOWN = 24
 _MOST_HEADER = 100 << 20
 _MOST_VALUE = 1e300
 _MOST_TEXT = 1000
-"""A text that was read from a file is cut to this number of characters when it is shown."""
+"""Maximum number of characters of a text from a file that are shown."""
 
 
 @dataclass(frozen=True)
 class Arguments:
     """The type of the file or folder is detected from its content. No file is changed."""
 
-    path: tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="FILE|DIR")]]
+    path: tyro.conf.Positional[Annotated[Location, READS, PATH_OR_URL, tyro.conf.arg(metavar="FILE|DIR")]]
     """A .4dv, .ply, .safetensors or video file, a capture folder or a run folder, or the URL of one."""
 
 

@@ -9,6 +9,7 @@ from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.report import PackSettings, pack_and_report
 from fourd.cli.locations import OutLocation, SceneLocation, transfer_progress
 from fourd.cli.options import TIER_HELP, MaxMbps, check_mbps, describe
+from fourd.files import require_suffix
 from fourd.progress import Terminal
 from fourd.storage import local_copy, local_output
 
@@ -28,6 +29,7 @@ class Arguments:
 def run(arguments: Arguments) -> None:
     """Pack the scene and print the sizes of its parts."""
     check_mbps(arguments.max_mbps)
+    require_suffix(arguments.out, (".4dv",), "a scene")
     console = Terminal(stderr=True)
     settings = PackSettings(arguments.tier, arguments.max_mbps)
     track = transfer_progress()

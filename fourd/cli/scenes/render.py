@@ -1,4 +1,4 @@
-"""Render a run, a scene or meshes from cameras or along a camera path, as PNG files or an MP4."""
+"""Render a run, a scene or meshes from cameras or along a camera path, as PNG files or a video."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from fourd.baking.playable import Playable, find_view, open_playable, select_fra
 from fourd.cameras import Camera
 from fourd.cli.locations import PATH_OR_URL, scene_or_copy
 from fourd.cli.options import Frames, StyleName, check_rendering, option, split_names
+from fourd.cli.outputs import READS, WRITES
 from fourd.cli.scenes.lens_options import LensOptions, make_inserts, make_lens
 from fourd.errors import UserError
 from fourd.lenses.inserts import Insert
@@ -27,20 +28,20 @@ from fourd.storage import Location
 from fourd.stylize import load_style
 from fourd.viewer.navigation.paths import camera_path, fit_camera
 from fourd.viewer.output.png import write_png
-from fourd.viewer.output.video import write_video
+from fourd.viewer.output.video import is_video, require_video, write_video
 from fourd.viewer.playback.sources import open_frame_source
 from fourd.viewer.rendering.drawn_playable import DrawnPlayable, LensDrawer, StyleDrawer
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Writes the images OUT/CAM/FRAME.png with --views, and OUT/STEP.png with --path. If OUT ends in .mp4, the command
-    writes a video instead of images."""
+    """Writes the images OUT/CAM/FRAME.png with --views, and OUT/STEP.png with --path. If OUT ends in .mp4, .webm or
+    .gif, the command writes a video instead of images."""
 
-    source: tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="RUN|SCENE|MESH")]]
+    source: tyro.conf.Positional[Annotated[Location, READS, PATH_OR_URL, tyro.conf.arg(metavar="RUN|SCENE|MESH")]]
     """Run folder, .4dv file or its URL, mesh (.glb or .ply), or folder with a mesh for each frame."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder for PNG files, or an .mp4 file."""
+    out: Annotated[Path, WRITES, tyro.conf.arg(aliases=["-o"])]
+    """Folder for PNG files, or a video: an .mp4 (H.264), .webm (VP9) or .gif file."""
     views: Annotated[str | None, option("NAME,NAME", "none; --views or --path is required")] = None
     """Names of the capture cameras to render from, separated by commas. The cameras of meshes are named "side 1" to
     "side 8"."""
@@ -68,6 +69,7 @@ class Arguments:
 def run(arguments: Arguments) -> None:
     """Open the source, choose the cameras, render and write the images."""
     console = Terminal(stderr=True)
+    is_video(arguments.out)  # An invalid name is reported before anything is rendered.
     if (arguments.views is None) == (arguments.path is None):
         raise UserError("--views, --path: expected exactly one of them; write --views 05,11 or --path orbit")
     check_rendering(
@@ -84,6 +86,8 @@ def _render(arguments: Arguments, source: Location, console: Console) -> int:
     if arguments.optics.is_used:
         playable = _through_lens(arguments, source, playable, frames)
     fps = arguments.fps or selected_rate(playable, frames)
+    if is_video(arguments.out):
+        require_video(arguments.out, fps)
     if arguments.views is not None:
         return _write_views(arguments, playable, frames, fps, console)
     return _write_path(arguments, playable, frames, fps, console)
@@ -128,7 +132,7 @@ def _write_views(arguments: Arguments, playable: Playable, frames: list[int], fp
     names = split_names(arguments.views) or ()
     cameras = [_fit(find_view(playable, name), arguments.size) for name in names]
     jobs = [(name, camera, frame) for frame in frames for name, camera in zip(names, cameras, strict=True)]
-    if arguments.out.suffix == ".mp4":
+    if is_video(arguments.out):
         pictures = (_rgb(playable, camera, frame, arguments) for _, camera, frame in _track(jobs, console))
         write_video(arguments.out, pictures, fps)
         return len(jobs)
@@ -145,7 +149,7 @@ def _write_path(arguments: Arguments, playable: Playable, frames: list[int], fps
     cameras = camera_path(arguments.path, views, playable.focus, steps, size=arguments.size)
     jobs = [("", camera, frames[step % len(frames)]) for step, camera in enumerate(cameras)]
     pictures = (_rgb(playable, camera, frame, arguments) for _, camera, frame in _track(jobs, console))
-    if arguments.out.suffix == ".mp4":
+    if is_video(arguments.out):
         write_video(arguments.out, pictures, fps)
     else:
         for step, picture in enumerate(pictures):

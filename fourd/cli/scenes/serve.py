@@ -15,6 +15,7 @@ import tyro
 
 from fourd.baking.files.encoding import Tier
 from fourd.cli.options import TIER_HELP, PageStyles, describe, option
+from fourd.cli.outputs import READS
 from fourd.errors import UserError
 from fourd.progress import Terminal
 
@@ -27,7 +28,7 @@ class Arguments:
     """Serves until Ctrl-C. If the scene is exported again, the page shows the new scene. The page of a run shows its
     training curves and images, and the scene of the newest checkpoint."""
 
-    source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE|RUN|SITE")]]
+    source: tyro.conf.Positional[Annotated[Path, READS, tyro.conf.arg(metavar="SCENE|RUN|SITE")]]
     """A .4dv file, a run, or a folder that fourd web has written."""
     port: int = 8000
     """Port to listen on. 0 selects a free port."""

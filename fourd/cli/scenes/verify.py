@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from fourd.cli.locations import PATH_OR_URL, transfer_progress
+from fourd.cli.outputs import READS
 from fourd.errors import UserError
 from fourd.progress import Terminal, Tracker
 from fourd.storage import Location, local_copy
@@ -21,7 +22,7 @@ class Arguments:
     For a scene, the command compares every member of the file with its CRC-32 checksum and decodes all frames. For a
     capture, the command decodes every image, matte and video. No file is changed."""
 
-    path: tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="RUN|SCENE|CAPTURE")]]
+    path: tyro.conf.Positional[Annotated[Location, READS, PATH_OR_URL, tyro.conf.arg(metavar="RUN|SCENE|CAPTURE")]]
     """A run folder, a .4dv file or a capture folder, or the URL of one."""
 
 

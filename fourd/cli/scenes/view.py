@@ -12,7 +12,9 @@ from rich.console import Console
 
 from fourd.cli.locations import PATH_OR_URL, transfer_progress
 from fourd.cli.options import StyleName, check_rendering, describe, option
+from fourd.cli.outputs import READS, WRITES
 from fourd.errors import UserError
+from fourd.files import require_suffix
 from fourd.progress import Terminal
 from fourd.storage import Location, local_copy
 from fourd.stylize import load_style
@@ -24,7 +26,7 @@ from fourd.viewer.rendering.renderers import RendererName
 class Arguments:
     """Opens a window unless --headless or --screenshot is given. A panel in the window lists the controls."""
 
-    source: tyro.conf.Positional[Annotated[Location | None, PATH_OR_URL, option("[SCENE|RUN]", "none")]] = None
+    source: tyro.conf.Positional[Annotated[Location | None, READS, PATH_OR_URL, option("[SCENE|RUN]", "none")]] = None
     """A .4dv file, its URL such as s3://bucket/scene.4dv, or a run folder. A run is reloaded while it trains. You can
     also drop a file on the window."""
     renderer: Annotated[
@@ -42,15 +44,15 @@ class Arguments:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Background colour: red, green and blue, 0 to 1 each."""
     style: StyleName = None
-    headless: Annotated[Path | None, option("FILE.mp4", "none")] = None
-    """Render a video to this file, without opening a window."""
+    headless: Annotated[Path | None, WRITES, option("FILE.{mp4,webm,gif}", "none")] = None
+    """Render a video to this .mp4 (H.264), .webm (VP9) or .gif file, without opening a window."""
     path: Annotated[str, tyro.conf.arg(metavar="{orbit,spiral,cameras,FILE.json}")] = "orbit"
     """Camera path of the --headless video. FILE.json is a path that was recorded in the window."""
     steps: Annotated[int | None, option("INT", "120, or the number of frames if that is larger")] = None
     """Number of images in the --headless video. The scene advances by one frame per image and plays in a loop."""
     fps: Annotated[float | None, option("FLOAT", "the scene's")] = None
     """Frames per second of the --headless video."""
-    screenshot: Annotated[Path | None, option("FILE.png", "none")] = None
+    screenshot: Annotated[Path | None, WRITES, option("FILE.png", "none")] = None
     """Render an image to this file, without opening a window."""
     camera: Annotated[str | None, option("NAME", "the first camera")] = None
     """Name of the capture camera from which the --screenshot image is rendered."""
@@ -78,7 +80,12 @@ def _view(arguments: Arguments, source: Path | None, settings: DisplaySettings, 
         run_viewer(source, arguments.renderer, size, settings, console, arguments.style)
         return
     from fourd.viewer.headless import Headless
+    from fourd.viewer.output.video import require_video
 
+    if arguments.headless is not None:
+        require_video(arguments.headless, arguments.fps)
+    if arguments.screenshot is not None:
+        require_suffix(arguments.screenshot, (".png",), "an image")
     if source is None:
         raise UserError("SCENE|RUN: expected a .4dv file or a run folder, got none; name a file or folder")
     headless = Headless(source, arguments.renderer, arguments.size, settings)

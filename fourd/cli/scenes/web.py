@@ -12,6 +12,7 @@ from fourd.baking.container import SceneReader
 from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.rate import Choice, choose_tier
 from fourd.cli.options import TIER_HELP, MaxMbps, PageStyles, ScenePath, check_mbps, describe, option
+from fourd.cli.outputs import WRITES_WHOLE_FOLDER
 from fourd.errors import UserError
 from fourd.files import remove_unfinished_folder
 from fourd.processes import locked_folder
@@ -25,7 +26,7 @@ class Arguments:
     scene: ScenePath
     """The .4dv file to show, of any version. If fourd pack has already compressed the scene, its quality does not
     change, and --tier is ignored."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    out: Annotated[Path, WRITES_WHOLE_FOLDER, tyro.conf.arg(aliases=["-o"])]
     """The folder to write. An earlier site in this folder is replaced."""
     tier: Annotated[Tier, describe(*TIER_HELP)] = "stream"
     title: Annotated[str | None, option("TEXT", "the name of the file")] = None

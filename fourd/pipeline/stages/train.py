@@ -50,6 +50,7 @@ def train_stage(files: TrainFiles, config: TrainConfig) -> Stage[TrainFiles, Tra
         leftovers=(Leftovers(files.run, keep=PREPARATION),),
         after=PREPARED_BY,
         has_checkpoints=True,
+        starts_run=True,
     )
 
 

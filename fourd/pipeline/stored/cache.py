@@ -147,6 +147,7 @@ class Cache:
         paths: Sequence[str],
         *,
         copies: Path | None = None,
+        settings: Mapping[str, str] | None = None,
         track: Track = untracked,
     ) -> Manifest:
         """Upload the files and symbolic links that a stage wrote, and then their manifest.
@@ -158,6 +159,7 @@ class Cache:
             paths: paths of the files and links.
             copies: folder with copies of the files, which are uploaded instead. If None, the files themselves are
                 uploaded.
+            settings: the value of each setting of the stage as text, by its name.
             track: reports progress.
 
         Returns: the manifest.
@@ -168,7 +170,7 @@ class Cache:
         targets = {path: self._portable(Path(os.readlink(self.root / path))) for path in links}
         with self._portable_configs(local) as sent:
             files = {path: FileEntry(each.stat().st_size, times[path]) for path, each in sent.items()}
-            manifest = Manifest(name, key, new_attempt(), files, targets)
+            manifest = Manifest(name, key, new_attempt(), files, targets, settings or {})
             store.publish(manifest, sent, track)
         return manifest
 

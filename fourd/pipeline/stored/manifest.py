@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import posixpath
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 
 from fourd.capture.layout import DERIVED
@@ -40,6 +40,7 @@ class Manifest:
         files: maps the path of each file, relative to the folder for intermediate results, to its size and time.
         links: maps the path of each symbolic link to its target, as an absolute path or relative to the folder for
             intermediate results.
+        settings: the value of each setting of the stage as text, by its name; empty if it is not known.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Manifest:
     attempt: str
     files: Mapping[str, FileEntry]
     links: Mapping[str, str]
+    settings: Mapping[str, str] = field(default_factory=dict)
 
     def to_json(self) -> str:
         """Convert the manifest to the JSON text that :func:`parse_manifest` reads."""
@@ -58,6 +60,7 @@ class Manifest:
                 "attempt": self.attempt,
                 "files": {path: [entry.size, entry.changed_ns] for path, entry in self.files.items()},
                 "links": dict(self.links),
+                "settings": dict(self.settings),
             }
         )
 
@@ -97,7 +100,8 @@ def parse_manifest(content: bytes, url: StorageUrl) -> Manifest:
             raise UserError(f"{url}: expected version {VERSION}, got {values['version']}; update fourd on all nodes")
         files = {str(path): FileEntry(int(size), int(time)) for path, (size, time) in values["files"].items()}
         links = {str(path): str(target) for path, target in values["links"].items()}
-        manifest = Manifest(str(values["name"]), str(values["key"]), str(values["attempt"]), files, links)
+        settings = {str(name): str(text) for name, text in values.get("settings", {}).items()}
+        manifest = Manifest(str(values["name"]), str(values["key"]), str(values["attempt"]), files, links, settings)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise UserError(f"{url}: expected a manifest of fourd make, got other content; delete the object") from error
     if not (manifest.attempt.isalnum() and all(map(is_file_name, files)) and all(map(_is_link, links.items()))):

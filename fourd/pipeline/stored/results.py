@@ -8,11 +8,16 @@ from pathlib import Path
 
 from fourd.errors import UserError
 from fourd.pipeline.fetch import FetchSettings
-from fourd.pipeline.stage import Context
+from fourd.pipeline.record import StageEntry, shown_changes
+from fourd.pipeline.stage import Context, StageState
 from fourd.pipeline.stored.cache import Cache, cache_folder
+from fourd.pipeline.stored.manifest import Manifest
+from fourd.pipeline.stored.unfinished import SUFFIX
 from fourd.pipeline.stored.unit import AnyStage, UnitFiles, fetch_source, unit_stage
 from fourd.pipeline.stored.work_store import WorkStore
+from fourd.pipeline.work_folder import RUN, TRAINING
 from fourd.storage import Location, StorageUrl, list_objects
+from fourd.training.run_layout import CHECKPOINTS
 
 Execute = Callable[[Sequence[AnyStage], Context], Iterator[AnyStage]]
 
@@ -20,8 +25,9 @@ Execute = Callable[[Sequence[AnyStage], Context], Iterator[AnyStage]]
 class StoredResults:
     """Finds finished stages in an object store, runs stages, and copies their results to this machine."""
 
-    def __init__(self, url: StorageUrl, source: Location, context: Context) -> None:
-        """Read the manifests at ``url``.
+    def __init__(self, url: StorageUrl, source: Location, context: Context, *, force: bool = False) -> None:
+        """Read the manifests at ``url``. If ``force`` is true, trained runs whose settings have changed are replaced
+        instead of being an error.
 
         Raises:
             UserError: if a store refuses a request, or if the folder ``url`` has objects but was not created by ``fourd
@@ -30,6 +36,8 @@ class StoredResults:
         self._store = WorkStore(url)
         self._cache = Cache(cache_folder(url))
         self._context = context
+        self._force = force
+        self._is_replacing = False
         if isinstance(source, StorageUrl):
             self._source: FetchSettings | Path = FetchSettings(str(source), list_objects(source).version)
         else:
@@ -51,11 +59,47 @@ class StoredResults:
 
     def is_finished(self, stage: AnyStage, key: str) -> bool:
         """Return True if the results of ``stage`` for the key ``key`` are complete. Call this method for all stages, in
-        the order in which they run, because it also records the stage and this order."""
+        the order in which they run, because it also records the stage and this order.
+
+        Raises:
+            UserError: if the stage would replace a trained run because settings have changed, without ``force``.
+        """
         self._stages[stage.name], self._keys[stage.name] = stage, key
         manifest = self._manifests.get(stage.name)
         outside = [path for path in stage.outputs if not path.is_relative_to(self.root)]
-        return manifest is not None and manifest.key == key and all(path.exists() for path in outside)
+        if manifest is not None and manifest.key == key and all(path.exists() for path in outside):
+            return True
+        self._check_training(stage, key, manifest)
+        return False
+
+    def _check_training(self, stage: AnyStage, key: str, manifest: Manifest | None) -> None:
+        """Raise UserError if ``stage`` would replace a trained run; see :meth:`is_finished`."""
+        trained = {name: each for name, each in self._manifests.items() if name.split()[0] == TRAINING}
+        if manifest is None or manifest.key == key or not self._writes_run(stage):
+            # A run with segments is trained by other stages than a run without.
+            trained = {
+                name: each
+                for name, each in trained.items()
+                if stage.starts_run and name.removesuffix(SUFFIX).count(" ") == (stage.name == TRAINING)
+            }
+        if not trained:
+            return
+        names = [Path(path) for each in trained.values() for path in each.files]
+        steps = max((int(path.stem) for path in names if path.parent.name == CHECKPOINTS), default=0)
+        run = f"the {'un' if all(name.endswith(SUFFIX) for name in trained) else ''}finished run of {steps:,} steps"
+        if not self._force:
+            entry = StageEntry(state=StageState("", manifest.settings if manifest else {}, {}, {}))
+            changes = shown_changes(entry.changed_settings(stage.readable_settings()) or ["other inputs or segments"])
+            raise UserError(
+                f"{self._store.url}: expected the settings of {run} in this folder, got others ({changes}); name "
+                "another --work to keep the run, or add --force to replace it"
+            )
+        if not self._is_replacing:
+            self._context.log(f"{self._store.url}: {run} is replaced, because of --force")
+        self._is_replacing = True
+
+    def _writes_run(self, stage: AnyStage) -> bool:
+        return any(each.folder.is_relative_to(self.root / RUN) for each in stage.leftovers)
 
     def copy(self) -> None:
         """Copy the results of the finished stages to this machine, except the results of segments."""

@@ -84,7 +84,10 @@ def run_unit(files: UnitFiles, settings: UnitSettings, context: Context) -> None
 
     with unfinished.uploaded(written, context.log) if unfinished is not None else nullcontext():
         stage.run(context)
-    manifest = cache.publish(files.store, stage.name, settings.key, list(written()), track=context.track)
+    known = stage.readable_settings()
+    manifest = cache.publish(
+        files.store, stage.name, settings.key, list(written()), settings=known, track=context.track
+    )
     cache.mark_published(manifest)
     if unfinished is not None:
         unfinished.remove()
