@@ -20,11 +20,16 @@ from fourd.cameras import Camera
 from fourd.capture.decoding import picture_size
 from fourd.capture.layout import PICTURE_SUFFIXES
 from fourd.errors import UserError
-from fourd.importing.folders import make_camera, parse_numbers, read_file
+from fourd.importing.folders import Array, make_camera, parse_numbers, read_file
 from fourd.importing.imported import Imported, ImportedCamera, PictureFiles
 
 NAME = "transforms.json"
-LENS_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
+LENS_MODELS = ("OPENCV", "PINHOLE", "FULL_OPENCV", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
+MATRICES = ("K", "intrinsics", "camera_intrinsics", "intrinsic_matrix")
+"""Keys of matrices of intrinsics in pixels, which some programs write instead of focal lengths."""
+COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
+RATIONAL = ("k4", "k5", "k6")
+OTHER_COEFFICIENTS = ("s1", "s2", "s3", "s4")
 IGNORED = (
     "aabb_scale",
     "scale",
@@ -80,7 +85,7 @@ def read(source: Path) -> Imported:
     listed = data.get("frames") if isinstance(data, dict) else None
     if not isinstance(listed, list) or not listed or not all(isinstance(entry, dict) for entry in listed):
         raise UserError(f"{path}: expected a list 'frames' of entries with poses, got none; export it again")
-    entries = [_entry(path, index, {**data, **entry}) for index, entry in enumerate(listed)]
+    entries = [_entry(path, _Values(f"{path}: entry {index}", entry, data)) for index, entry in enumerate(listed)]
     timed = sum(entry.time is not None for entry in entries)
     if timed not in (0, len(entries)):
         raise UserError(
@@ -105,52 +110,128 @@ def read(source: Path) -> Imported:
     return Imported(tuple(cameras), tuple(notes))
 
 
-def _entry(path: Path, index: int, values: Mapping[str, object]) -> _Entry:
-    """Make an entry from ``values``: the entry's own values, merged with the values of the whole file."""
-    where = f"{path}: entry {index}"
-    relative, picture = _find_picture(path, f"{where}: file_path", values.get("file_path"))
+def _entry(path: Path, values: _Values) -> _Entry:
+    relative, picture = _find_picture(path, f"{values.where}: file_path", values.entry.get("file_path"))
     mask = None
-    if values.get("mask_path") is not None:
-        _, mask = _find_picture(path, f"{where}: mask_path", values["mask_path"])
-    time = None if values.get("time") is None else float(parse_numbers(f"{where}: time", values["time"], ()))
-    return _Entry(relative, picture, mask, _make_camera(where, values, picture), time)
+    if values.entry.get("mask_path") is not None:
+        _, mask = _find_picture(path, f"{values.where}: mask_path", values.entry["mask_path"])
+    time = None if values.entry.get("time") is None else values.number("time")
+    return _Entry(relative, picture, mask, _make_camera(values, picture), time)
 
 
-def _make_camera(where: str, values: Mapping[str, object], picture: Path) -> Camera:
-    model = values.get("camera_model", "OPENCV")
-    fisheye = values.get("is_fisheye") or values.get("k4")
-    if model not in LENS_MODELS or fisheye:
-        raise UserError(
-            f"{where}: camera_model: expected {', '.join(LENS_MODELS[:3])}, got {'a fisheye' if fisheye else model}; "
-            "undistort the images first"
-        )
+@dataclass(frozen=True)
+class _Values:
+    """The values of an entry, and the values of the whole file, which apply if the entry has none."""
 
-    def value(key: str, default: float | None = None) -> float:
-        if values.get(key) is None and default is not None:
+    where: str
+    entry: Mapping[str, object]
+    whole: Mapping[str, object]
+
+    def get(self, key: str) -> object:
+        return self.whole.get(key) if self.entry.get(key) is None else self.entry[key]
+
+    def number(self, key: str, default: float | None = None) -> float:
+        if self.get(key) is None and default is not None:
             return default
-        if values.get(key) is None:
-            raise UserError(f"{where}: expected {key}, got none; export it again")
-        return float(parse_numbers(f"{where}: {key}", values[key], ()))
+        if self.get(key) is None:
+            raise UserError(f"{self.where}: expected {key}, got none; export it again")
+        return float(parse_numbers(f"{self.where}: {key}", self.get(key), ()))
 
+
+def _make_camera(values: _Values, picture: Path) -> Camera:
+    where = values.where
+    model = values.get("camera_model") or "OPENCV"
+    if model not in LENS_MODELS or values.get("is_fisheye"):
+        raise UserError(
+            f"{where}: camera_model: expected {', '.join(LENS_MODELS[:3])}, got "
+            f"{model if model not in LENS_MODELS else 'a fisheye'}; undistort the images first"
+        )
     if values.get("w") is None or values.get("h") is None:
         width, height = map(float, picture_size(picture))
     else:
-        width, height = value("w"), value("h")
+        width, height = values.number("w"), values.number("h")
         if not (1 <= width <= MAX_PIXELS and 1 <= height <= MAX_PIXELS):
             raise UserError(f"{where}: w and h: expected pixels, got {width:g} x {height:g}; correct or remove them")
-    if values.get("fl_x") is None and values.get("camera_angle_x") is None:
-        raise UserError(f"{where}: expected fl_x or camera_angle_x, got neither; export it again")
-    focal_x = value("fl_x", _focal(value("camera_angle_x", 1.0), width))
-    angle_y = values.get("camera_angle_y")
-    focal_y = value("fl_y", focal_x if angle_y is None else _focal(value("camera_angle_y"), height))
-    principal = value("cx", width / 2), value("cy", height / 2)
-    intrinsics = np.array([[focal_x, 0, principal[0]], [0, focal_y, principal[1]], [0, 0, 1]])
-    distortion = np.array([value(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3")])
     matrix = values.get("transform_matrix")
     rows = 3 if isinstance(matrix, list) and len(matrix) == 3 else 4
     pose = parse_numbers(f"{where}: transform_matrix", matrix, (rows, 4))
     R_camera_world = np.diag([1.0, -1.0, -1.0]) @ pose[:3, :3].T
-    return make_camera(where, intrinsics, R_camera_world, -R_camera_world @ pose[:3, 3], (width, height), distortion)
+    translation = -R_camera_world @ pose[:3, 3]
+    distortion = _distortion(values, rational=model == "FULL_OPENCV")
+    return make_camera(
+        where, _intrinsics(values, width, height), R_camera_world, translation, (width, height), distortion
+    )
+
+
+def _intrinsics(values: _Values, width: float, height: float) -> Array:
+    """Return the intrinsics (3, 3) in pixels, from a matrix or from focal lengths. The values of the entry are
+    preferred to those of the whole file.
+
+    Raises:
+        UserError: if the values are invalid, or a matrix and focal lengths at the same place differ.
+    """
+    for place in (values.entry, values.whole):
+        key = next((key for key in MATRICES if place.get(key) is not None), None)
+        has_focal = any(place.get(key) is not None for key in ("fl_x", "camera_angle_x"))
+        if key is None and not has_focal:
+            continue
+        if key is None:
+            return _from_focal(values, width, height)
+        matrix = _matrix(f"{values.where}: {key}", place[key], width)
+        if has_focal and not np.allclose(matrix, _from_focal(values, width, height), rtol=1e-3, atol=0.1):
+            raise UserError(
+                f"{values.where}: expected {key} and fl_x, fl_y, cx, cy to be the same, got different values; remove "
+                "the wrong ones"
+            )
+        return matrix
+    keys = f"fl_x, camera_angle_x, {', '.join(MATRICES[:-1])} or {MATRICES[-1]}"
+    raise UserError(f"{values.where}: expected {keys}, got none of them; export it again")
+
+
+def _matrix(where: str, value: object, width: float) -> Array:
+    """Read intrinsics (3, 3) in pixels from a matrix of 3 or 4 rows and columns, or from a list of 9 or 16 numbers."""
+    try:
+        side = {9: 3, 12: 4, 16: 4}.get(np.size(np.array(value, np.float64)), 3)
+    except (TypeError, ValueError, OverflowError):
+        side = 3
+    if isinstance(value, list) and len(value) in (9, 16):
+        value = [value[start : start + side] for start in range(0, len(value), side)]
+    rows = 3 if isinstance(value, list) and len(value) == 3 else side
+    matrix = parse_numbers(where, value, (rows, side))[:3, :3].copy()
+    if matrix[0, 2] <= 1 < width / 2:
+        raise UserError(
+            f"{where}: expected pixels, got a principal point at x = {matrix[0, 2]:g}; if the values are shares of the "
+            "image size, multiply them by width and height, and export it again"
+        )
+    return matrix
+
+
+def _from_focal(values: _Values, width: float, height: float) -> Array:
+    focal_x = values.number("fl_x", _focal(values.number("camera_angle_x", 1.0), width))
+    has_angle_y = values.get("camera_angle_y") is not None
+    focal_y = values.number("fl_y", _focal(values.number("camera_angle_y"), height) if has_angle_y else focal_x)
+    return np.array(
+        [[focal_x, 0, values.number("cx", width / 2)], [0, focal_y, values.number("cy", height / 2)], [0, 0, 1]]
+    )
+
+
+def _distortion(values: _Values, rational: bool) -> Array:
+    """Return OpenCV's distortion coefficients.
+
+    In nerfstudio's model OPENCV, k3 and k4 are the coefficients of r^6 and r^8. OpenCV has the first one only. In
+    COLMAP's model FULL_OPENCV, k4 to k6 are the coefficients of a denominator, as in OpenCV.
+
+    Raises:
+        UserError: if a coefficient that OpenCV does not have is not 0.
+    """
+    keys = (*COEFFICIENTS, *RATIONAL) if rational else COEFFICIENTS
+    for key in OTHER_COEFFICIENTS if rational else (*RATIONAL, *OTHER_COEFFICIENTS):
+        if values.number(key, 0.0) != 0:
+            reason = "a term of r^8, which OpenCV's lens model lacks" if key == "k4" else "which is not supported"
+            raise UserError(
+                f"{values.where}: {key}: expected 0, got {values.number(key):g}, {reason}; undistort the images first"
+            )
+    return np.array([values.number(key, 0.0) for key in keys])
 
 
 def _focal(angle: float, pixels: float) -> float:
@@ -216,8 +297,8 @@ def _by_camera(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
 
 
 def _clean(name: str) -> str:
-    """Replace the characters of ``name`` that a camera name must not contain."""
-    return re.sub(r"[^A-Za-z0-9_.-]", "_", name).lstrip(".-")
+    """Replace the characters of ``name`` other than letters, digits, ``_``, ``-`` and ``.``."""
+    return re.sub(r"[^\w.-]", "_", name).lstrip(".-")
 
 
 def _json_path(source: Path) -> Path:

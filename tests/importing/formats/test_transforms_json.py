@@ -132,7 +132,7 @@ INVALID_VALUES: list[tuple[dict[str, object], str]] = [
     ({"file_path": 7}, r"entry 1: file_path: expected an image's path, got '7'"),
     ({"fl_x": float("nan")}, r"entry 1: fl_x: expected finite numbers, got \[nan\]"),
     ({"fl_x": "wide"}, r"entry 1: fl_x: expected 1 numbers, got something else"),
-    ({"fl_x": None}, r"entry 1: expected fl_x or camera_angle_x, got neither"),
+    ({"fl_x": None}, r"entry 1: expected fl_x, camera_angle_x, K, intrinsics, camera_intrinsics or .*, got none"),
     ({"w": 0}, r"entry 1: w and h: expected pixels, got 0 x 16"),
     (
         {"transform_matrix": [[1, 2], [3]]},
@@ -173,3 +173,56 @@ def test_missing_and_moving_frames_are_refused(tmp_path: Path) -> None:
 
 def test_damaged_files_are_reported(static: Path, rng: np.random.Generator) -> None:
     assert_damage_is_reported(read, static, static / "transforms.json", rng)
+
+
+@pytest.mark.parametrize("key", ["K", "intrinsics", "camera_intrinsics"])
+@pytest.mark.parametrize("kind", ["3 x 3", "4 x 4", "flat"])
+def test_matrices_of_intrinsics(tmp_path: Path, key: str, kind: str, rng: np.random.Generator) -> None:
+    """Catches intrinsics of each frame that are ignored in favour of those of the whole file."""
+    cameras = uneven_cameras(3)
+    frames = []
+    for index, camera in enumerate(cameras):
+        write_pictures(tmp_path, [f"{index}.jpg"])
+        wide = np.eye(4)
+        wide[:3, :3] = camera.intrinsics
+        matrix = {"3 x 3": camera.intrinsics, "4 x 4": wide, "flat": camera.intrinsics.ravel()}[kind]
+        frames.append(make_entry(camera, f"{index}.jpg") | {key: matrix.tolist()})
+        for name in ("fl_x", "fl_y", "cx", "cy"):
+            del frames[-1][name]
+    write(tmp_path, frames, fl_x=99.0, fl_y=99.0, cx=5.0, cy=5.0)
+    for camera, original in zip(read(tmp_path).cameras, cameras, strict=True):
+        assert_same_view(camera.calibration, original, rng)
+    frames[1] |= {"fl_x": 30.0}
+    write(tmp_path, frames)
+    assert_refused(read, tmp_path, rf"entry 1: expected {key} and fl_x, fl_y, cx, cy to be the same, got different")
+    write(tmp_path, [frames[0] | {key: [[1.1, 0, 0.5], [0, 1.1, 0.5], [0, 0, 1]]}])
+    assert_refused(read, tmp_path, rf"entry 0: {key}: expected pixels, got a principal point at x = 0.5; if the values")
+    write(tmp_path, [frames[0] | {key: [[1.1, 0], [0, 1.1]]}])
+    assert_refused(read, tmp_path, rf"entry 0: {key}: expected 3 x 3 numbers, got 2 x 2")
+
+
+def test_coefficients_that_opencv_lacks(static: Path, rng: np.random.Generator) -> None:
+    """Catches coefficients that are dropped without a word, r^8 that is called a fisheye, and COLMAP's rational model
+    that is refused although OpenCV has it."""
+    data = json.loads((static / "transforms.json").read_text())
+    write(static, data["frames"], camera_model="OPENCV", k1=0.1, k4=0.001)
+    assert_refused(read, static, r"entry 0: k4: expected 0, got 0.001, a term of r\^8, which OpenCV's lens model lacks")
+    write(static, data["frames"], camera_model="OPENCV", k1=0.1, k6=0.001)
+    assert_refused(read, static, r"entry 0: k6: expected 0, got 0.001, which is not supported; undistort the images")
+    write(static, data["frames"], camera_model="OPENCV_FISHEYE", k1=0.1)
+    assert_refused(read, static, r"entry 0: camera_model: expected OPENCV.* got OPENCV_FISHEYE; undistort")
+    write(static, data["frames"], is_fisheye=True)
+    assert_refused(read, static, r"entry 0: camera_model: expected OPENCV.* got a fisheye; undistort")
+    values = (0.1, 0.02, 0.001, 0.002, 0.003, 0.2, 0.04, 0.005)
+    coefficients = dict(zip(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), values, strict=True))
+    write(static, data["frames"], camera_model="FULL_OPENCV", **coefficients)
+    for camera, original in zip(read(static).cameras, uneven_cameras(3, np.array(values)), strict=True):
+        assert_same_view(camera.calibration, original, rng)
+
+
+def test_names_in_other_scripts(tmp_path: Path) -> None:
+    """Catches file names of which all letters are replaced, so that they are equal."""
+    write_pictures(tmp_path / "images", ["左.jpg", "右.jpg"])
+    left, right = uneven_cameras(2)
+    write(tmp_path, [make_entry(left, "images/左.jpg"), make_entry(right, "images/右.jpg")])
+    assert [camera.name for camera in read(tmp_path).cameras] == ["左", "右"]
