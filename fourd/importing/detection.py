@@ -21,7 +21,15 @@ from fourd.importing.formats import (
     videos,
 )
 from fourd.importing.imported import Imported
-from fourd.importing.layouts import CalibrationFormat, Frames, Layout, describe_refused, find_layout
+from fourd.importing.layouts import (
+    MAX_LISTED,
+    CalibrationFormat,
+    Frames,
+    Layout,
+    describe_refused,
+    find_calibration,
+    find_layout,
+)
 
 
 @dataclass(frozen=True)
@@ -70,10 +78,10 @@ FORMATS = (
 """All formats in the order of detection: the most specific formats first."""
 
 CALIBRATION_FORMATS = (
-    CalibrationFormat("qualisys", qualisys.is_calibration, qualisys.read),
-    CalibrationFormat("caliscope", caliscope.is_calibration, caliscope.read),
-    CalibrationFormat("anipose", anipose.is_calibration, anipose.read),
-    CalibrationFormat("easymocap", easymocap.is_calibration, easymocap.read),
+    CalibrationFormat("qualisys", qualisys.is_calibration, qualisys.read, qualisys.read_names),
+    CalibrationFormat("caliscope", caliscope.is_calibration, caliscope.read, caliscope.read_names),
+    CalibrationFormat("anipose", anipose.is_calibration, anipose.read, anipose.read_names),
+    CalibrationFormat("easymocap", easymocap.is_calibration, easymocap.read, easymocap.read_names),
 )
 """Formats whose calibration and frames may be in different folders. Earlier formats are preferred."""
 VIDEOS = "videos"
@@ -108,10 +116,25 @@ def pick_format(name: str | None, source: Path) -> Format:
         return by_name[name]
     if isinstance(found, Frames):
         return replace(by_name[VIDEOS], read=lambda _: _read_videos(source, found))
+    lonely = find_calibration(source, CALIBRATION_FORMATS)
+    if lonely is not None:
+        raise UserError(_without_frames(source, *lonely))
     refused = describe_refused(source, CALIBRATION_FORMATS)
     raise UserError(
         f"{source}: expected {', or '.join(f'{each.summary} ({each.name})' for each in FORMATS)}, "
         f"got none of these{f' ({refused})' if refused else ''}; name the folder that contains such files"
+    )
+
+
+def _without_frames(source: Path, form: CalibrationFormat, path: Path) -> str:
+    """Return the message for a calibration without a recording."""
+    folder = path.parent if form.name == "caliscope" else source if source.is_dir() else source.parent
+    place = folder / ("recordings/NAME" if form.name == "caliscope" else "videos")
+    names = list(form.names(path))
+    listed = ", ".join(f"{name}.mp4" for name in names[:MAX_LISTED]) + (", ..." if len(names) > MAX_LISTED else "")
+    return (
+        f"{source}: expected a recording beside the calibration {path} ({form.name}, {len(names)} cameras), got no "
+        f"videos or images outside the folders of calibrations; add the recording's videos {listed} in {place}/"
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import unicodedata
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -56,10 +56,16 @@ def read_file(path: Path) -> bytes:
         raise UserError(f"{path}: expected a file, got '{error.strerror}'; copy it again") from error
 
 
-def find_frames(source: Path, folders: Sequence[str] = FRAME_FOLDERS) -> dict[str, Frames]:
-    """Find the frames of each camera: a video or a folder of images.
+def find_frames(source: Path, folders: Sequence[str] = FRAME_FOLDERS, names: Collection[str] = ()) -> dict[str, Frames]:
+    """Find the frames of each camera: a video, a folder of images, or a folder with one video.
 
     Only the first of ``folders`` that contains any frames is used. Returns the frames, keyed by camera name.
+
+    Args:
+        source: the folder of the recording.
+        folders: folders in ``source`` that may contain the frames, in order of preference.
+        names: names of the calibrated cameras, if they are known. Folders with these names are cameras. Without them, a
+            folder with one video is a camera only if the video's name contains the folder's name.
 
     Raises:
         UserError: when two cameras have the same name, or no folder has frames.
@@ -78,10 +84,31 @@ def find_frames(source: Path, folders: Sequence[str] = FRAME_FOLDERS) -> dict[st
                 found[name] = frames
         if found and (folder_name != "." or not set(found) & set(FRAME_FOLDERS)):
             return found
+    for folder_name in folders:
+        found = _folders_with_one_video(source / folder_name, names)
+        if found:
+            return found
     raise UserError(
         f"{source}: expected a video or a folder of images for each camera, in this folder or in "
         f"{' or '.join(f'{name}/' for name in folders if name != '.')}, got none; add the videos or images"
     )
+
+
+def _folders_with_one_video(folder: Path, names: Collection[str]) -> dict[str, Frames]:
+    """Find the cameras in the layout CAM/any_CAM.mp4. The result is empty unless each folder that contains videos
+    contains one, and is a camera by its name or by the name of its video."""
+    found: dict[str, Frames] = {}
+    for child in camera_folders(folder):
+        if child in FRAME_FOLDERS or CALIBRATION_FOLDER.search(child):
+            continue
+        videos = find_videos(folder / child)
+        if len(videos) > 1:
+            return {}
+        for stem, path in videos.items():
+            if child not in names and not (_ends_with(stem, child) or _starts_with(stem, child)):
+                return {}
+            found[child] = VideoFile(path)
+    return found if len(found) > 1 else {}
 
 
 def picture_files(folder: Path) -> PictureFiles | None:
@@ -259,6 +286,11 @@ def _ends_with(name: str, camera: str) -> bool:
     """Return whether a video's name ends with a separator, optionally "cam", and the camera's name, such as -A or -camA
     for the camera A."""
     return re.search(rf"(?:^|[-_. ])(?:cam)?{re.escape(camera)}$", name) is not None
+
+
+def _starts_with(name: str, camera: str) -> bool:
+    """Return whether a video's name starts with the camera's name and a separator."""
+    return re.match(rf"{re.escape(camera)}(?:$|[-_. ])", name) is not None
 
 
 def _last_number(name: str) -> int | None:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,11 +40,14 @@ class CalibrationFormat:
         name: the format's name on the command line.
         is_calibration: function that tests whether a file is a calibration of this format.
         read: function that takes a calibration file and the folder of the frames, and reads the cameras.
+        names: function that reads the names of the cameras of a calibration file. It raises UserError for an invalid
+            file.
     """
 
     name: str
     is_calibration: Callable[[Path], bool]
     read: Callable[[Path, Path], Imported]
+    names: Callable[[Path], Collection[str]]
 
 
 @dataclass(frozen=True)
@@ -100,12 +104,14 @@ def find_layout(source: Path, formats: Sequence[CalibrationFormat]) -> Layout | 
     """
     folder = source if source.is_dir() else source.parent
     _refuse_opencap(folder)
-    frames = _find_recording(folder)
+    inside = [source] if folder != source else list(_files_below(folder, MAX_DEPTH))
+    beside = [path for above in _parents(folder) for path in _files_beside(above)]
+    names = _calibrated_names([*inside, *beside], formats)
+    frames = _find_recording(folder, names)
     if frames is None and folder != source:
-        frames = _find_recording(folder.parent)
+        frames = _find_recording(folder.parent, names)
     if frames is None:
         return None
-    inside = [source] if folder != source else list(_files_below(folder, MAX_DEPTH))
     refused: list[str] = []
     layout = _choose(inside, frames, formats, refused)
     if layout is None and any(_recognise(path, formats) for path in inside):
@@ -171,11 +177,30 @@ def _choose(
     return Layout(form, path, frames, tuple(refused))
 
 
-def _find_recording(source: Path) -> Path | None:
-    """Return the folder below ``source`` that contains frames. Calibration folders are skipped."""
+def _calibrated_names(paths: Sequence[Path], formats: Sequence[CalibrationFormat]) -> set[str]:
+    """Return the names of the cameras of all calibrations among ``paths``."""
+    names: set[str] = set()
+    for path in paths:
+        form = _recognise(path, formats)
+        if form is not None:
+            with suppress(UserError):
+                names |= set(form.names(path))
+    return names
+
+
+def find_calibration(source: Path, formats: Sequence[CalibrationFormat]) -> tuple[CalibrationFormat, Path] | None:
+    """Return the first calibration in ``source``, or None if there is none."""
+    paths = _files_below(source, MAX_DEPTH) if source.is_dir() else iter([source])
+    found = ((_recognise(path, formats), path) for path in paths)
+    return next(((form, path) for form, path in found if form is not None), None)
+
+
+def _find_recording(source: Path, names: Collection[str]) -> Path | None:
+    """Return the folder below ``source`` that contains frames. Calibration folders are skipped. ``names`` are the names
+    of the calibrated cameras."""
     folders = [source]
     for _ in range(MAX_DEPTH + 1):
-        found = [folder for folder in folders if _has_frames(folder)]
+        found = [folder for folder in folders if _has_frames(folder, names)]
         if len(found) > 1:
             raise UserError(
                 f"{source}: expected one recording, got {len(found)}: {', '.join(map(str, found[:MAX_LISTED]))}; name "
@@ -189,9 +214,9 @@ def _find_recording(source: Path) -> Path | None:
     return None
 
 
-def _has_frames(folder: Path) -> bool:
+def _has_frames(folder: Path, names: Collection[str]) -> bool:
     try:
-        return bool(find_frames(folder))
+        return bool(find_frames(folder, names=names))
     except (UserError, OSError):
         return False
 

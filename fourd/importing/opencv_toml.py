@@ -51,5 +51,19 @@ def camera_of_table(where: str, table: Mapping[str, Any], rotation: Array, trans
         raise UserError(f"{where}: size: expected width and height in pixels, got {width:g} x {height:g}; correct it")
     intrinsics = parse_numbers(f"{where}: matrix", table["matrix"], (3, 3))
     intrinsics[:2, 2] += 0.5
-    distortion = parse_numbers(f"{where}: distortions", table["distortions"], (-1,))
+    distortion = _distortion(f"{where}: distortions", table["distortions"])
     return make_camera(where, intrinsics, rotation, translation, (width, height), distortion)
+
+
+def _distortion(where: str, value: object) -> Array:
+    """Read distortion coefficients in OpenCV's order. The list may be inside another list, as NumPy writes a matrix of
+    one row. Missing coefficients are 0."""
+    if isinstance(value, list) and len(value) == 1 and isinstance(value[0], list):
+        value = value[0]
+    coefficients = parse_numbers(where, value, (-1,))
+    if len(coefficients) == 3 and coefficients[2] != 0:
+        raise UserError(
+            f"{where}: expected 4 or 5 numbers, got {coefficients.tolist()}, in which the third one may be p1 or k3; "
+            "write k1, k2, p1, p2, k3"
+        )
+    return coefficients if len(coefficients) > 3 else np.pad(coefficients, (0, 5 - len(coefficients)))

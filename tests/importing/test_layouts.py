@@ -106,6 +106,48 @@ def test_calibrations_in_other_folders_are_found(tmp_path: Path, make, trial: st
         assert "annotated" not in frames
 
 
+@pytest.mark.parametrize("pattern", ["walk_{}.mp4", "{}.mp4", "{}-walk.mov", "GX010001.mp4", "subject-1 {}.mp4"])
+@pytest.mark.parametrize("place", [".", "calibration", "../calibration"])
+def test_one_folder_per_camera(pattern: str, place: str, tmp_path: Path) -> None:
+    """Catches a recording with one folder per camera that is taken for several recordings."""
+    session = tmp_path / "session"
+    write_toml(session / place / "calibration.toml")
+    for name in ("camA", "camB", "camC"):
+        write_video(session / name / pattern.format(name))
+    found, imported = read(session)
+    assert found == "anipose"
+    assert [camera.name for camera in imported.cameras] == ["camA", "camB", "camC"]
+    assert all(camera.calibration is not None for camera in imported.cameras)
+    assert all(camera.name in str(camera.frames) for camera in imported.cameras)
+
+
+def test_several_videos_in_the_folder_of_a_camera(tmp_path: Path) -> None:
+    """Catches a session of several recordings of which the last one is imported."""
+    write_toml(tmp_path / "calibration.toml")
+    for name in ("camA", "camB", "camC"):
+        write_video(tmp_path / name / f"walk_{name}.mp4")
+        write_video(tmp_path / name / f"run_{name}.mp4")
+    with pytest.raises(UserError, match=r"expected one recording, got 3: .*camA"):
+        pick_format(None, tmp_path)
+
+
+def test_calibrations_without_a_recording_are_named(tmp_path: Path) -> None:
+    """Catches a project whose calibration is found without a word, because the recording is missing."""
+    root = caliscope(tmp_path / "project")
+    shutil.rmtree(root / "recordings")
+    message = (
+        f"{root}: expected a recording beside the calibration {root}/camera_array.toml (caliscope, 3 cameras), got no "
+        "videos or images outside the folders of calibrations; add the recording's videos cam_0.mp4, cam_1.mp4, "
+        f"cam_2.mp4 in {root}/recordings/NAME/"
+    )
+    with pytest.raises(UserError, match=re.escape(message)):
+        pick_format(None, root)
+    root = anipose_session(tmp_path / "session")
+    shutil.rmtree(root / "videos-raw")
+    with pytest.raises(UserError, match=r"beside the calibration .*/calibration.toml \(anipose, 3 cameras\), got no"):
+        pick_format(None, root)
+
+
 def test_several_recordings_are_named(tmp_path: Path) -> None:
     """Catches an import that chooses one of several recordings instead of reporting an error."""
     root = pose2sim(tmp_path)

@@ -20,7 +20,7 @@ from fourd.importing.imported import Imported
 from fourd.importing.opencv_toml import camera_of_table, read_toml
 
 KEYS = ("name", "size", "matrix", "distortions", "rotation", "translation")
-HEAD_BYTES = 4096
+HEAD_BYTES = 1 << 18
 """Number of bytes at the start of a file that always contain the table of its first camera."""
 METRES_PER_MM = 1e-3
 MAX_DISTANCE_M = 100.0
@@ -36,6 +36,11 @@ def looks_like(source: Path) -> bool:
 def is_calibration(path: Path) -> bool:
     """Return whether ``path`` is a calibration TOML of Anipose, Pose2Sim or FreeMoCap."""
     return path.suffix.lower() == ".toml" and _has_cameras(read_head(path, HEAD_BYTES))
+
+
+def read_names(path: Path) -> list[str]:
+    """Return the names of the cameras of a calibration file. Raises UserError if the file is invalid."""
+    return list(read_cameras(path)[0])
 
 
 def read(source: Path, frames: Path | None = None) -> Imported:
@@ -55,7 +60,7 @@ def read(source: Path, frames: Path | None = None) -> Imported:
         raise UserError(f"{source}: expected one TOML with the cameras' calibration, got {got}; name the file itself")
     path = files[0]
     calibrations, notes = read_cameras(path)
-    cameras, more = join_calibrations(find_frames(frames or path.parent), calibrations, path)
+    cameras, more = join_calibrations(find_frames(frames or path.parent, names=list(calibrations)), calibrations, path)
     return Imported(cameras, (*notes, *more))
 
 

@@ -20,7 +20,7 @@ from fourd.importing.imported import Imported
 from fourd.importing.opencv_toml import camera_of_table, read_toml
 
 NAME = "camera_array.toml"
-HEAD_BYTES = 4096
+HEAD_BYTES = 1 << 18
 INTRINSIC_KEYS = ("size", "matrix", "distortions")
 POSE_KEYS = ("rotation", "translation")
 
@@ -38,6 +38,11 @@ def is_calibration(path: Path) -> bool:
     return re.search(rb"(?m)^\s*\[cameras\.[^\]]+\]", head) is not None and b"matrix" in head
 
 
+def read_names(path: Path) -> list[str]:
+    """Return the names of the cameras of a calibration file. Raises UserError if the file is invalid."""
+    return list(read_cameras(path)[0])
+
+
 def read(source: Path, frames: Path | None = None) -> Imported:
     """Read the cameras of ``source``: a folder with camera_array.toml, or the TOML itself.
 
@@ -51,7 +56,7 @@ def read(source: Path, frames: Path | None = None) -> Imported:
     """
     path = _path(source)
     calibrations, notes = read_cameras(path)
-    cameras, more = join_calibrations(find_frames(frames or path.parent), calibrations, path)
+    cameras, more = join_calibrations(find_frames(frames or path.parent, names=list(calibrations)), calibrations, path)
     return Imported(cameras, (*notes, *more))
 
 

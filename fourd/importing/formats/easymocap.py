@@ -11,7 +11,7 @@ from pathlib import Path
 import av
 
 from fourd.cameras import Camera
-from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, Calibration, check_calibration
+from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, Calibration, check_calibration, read_calibration
 from fourd.capture.decoding import picture_size
 from fourd.capture.video import first_frame
 from fourd.errors import UserError
@@ -30,6 +30,11 @@ def looks_like(source: Path) -> bool:
 def is_calibration(path: Path) -> bool:
     """Return whether ``path`` is an intri.yml beside an extri.yml."""
     return path.name == INTRINSICS_NAME and (path.parent / EXTRINSICS_NAME).is_file()
+
+
+def read_names(path: Path) -> list[str]:
+    """Return the names of the cameras of an intri.yml. Raises UserError if the calibration is invalid."""
+    return list(read_calibration(path.parent))
 
 
 def read(source: Path, frames: Path | None = None) -> Imported:
@@ -52,7 +57,7 @@ def read(source: Path, frames: Path | None = None) -> Imported:
     if report.errors:
         raise report.errors[0]
     calibrations = report.calibrations
-    found_frames = find_frames(data, FRAME_FOLDERS)
+    found_frames = find_frames(data, FRAME_FOLDERS, list(calibrations))
     pairs = match_names([*calibrations, *report.incomplete], found_frames, path)
     found_frames = {camera: of for camera, of in found_frames.items() if pairs.get(camera) not in report.incomplete}
     found = {pairs[camera]: of for camera, of in found_frames.items() if camera in pairs}

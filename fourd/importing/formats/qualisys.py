@@ -37,6 +37,11 @@ def is_calibration(path: Path) -> bool:
     return path.name.endswith(SUFFIX) and path.is_file()
 
 
+def read_names(path: Path) -> list[str]:
+    """Return the names of the cameras of a calibration file. Raises UserError if the file is invalid."""
+    return list(read_cameras(path))
+
+
 def read(source: Path, frames: Path | None = None) -> Imported:
     """Read the cameras of ``source``: a folder with NAME.qca.txt, or NAME.qca.txt itself.
 
@@ -50,8 +55,8 @@ def read(source: Path, frames: Path | None = None) -> Imported:
     path = _find_file(source)
     if path is None:
         raise UserError(f"{source}: expected a folder with NAME{SUFFIX}, got none; export it from Qualisys")
-    calibrations = read_cameras(path)
-    found_frames = find_frames(frames or path.parent)
+    calibrations, uncalibrated = _read_all(path)
+    found_frames = find_frames(frames or path.parent, names=list(calibrations))
     pairs = match_names(list(calibrations), found_frames, path)
     cameras = tuple(
         ImportedCamera(name, calibrations[pairs[name]] if name in pairs else None, found)
@@ -65,26 +70,39 @@ def read(source: Path, frames: Path | None = None) -> Imported:
     unused = sorted(set(calibrations) - set(pairs.values()))
     if unused:
         notes.append(f"cameras without a video, not imported: {', '.join(unused)}")
+    if uncalibrated:
+        notes.append(f"cameras that Qualisys has not calibrated: {', '.join(uncalibrated)}")
     return Imported(cameras, tuple(notes))
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """Read a .qca.txt file. Returns the cameras, in metres, keyed by serial number. Raises UserError if the XML is
-    invalid, or a value is missing or invalid."""
+    """Read a .qca.txt file. Returns the calibrated cameras, in metres, keyed by serial number. Raises UserError if the
+    XML is invalid, or a value is missing or invalid."""
+    return _read_all(path)[0]
+
+
+def _read_all(path: Path) -> tuple[dict[str, Camera], list[str]]:
+    """Return the calibrated cameras, and the serial numbers of the others."""
     try:
         root = ElementTree.fromstring(read_limited(path))
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise UserError(f"{path}: expected Qualisys' XML, got '{error}'; export it again") from error
     cameras: dict[str, Camera] = {}
+    uncalibrated: list[str] = []
     for node in root.iter("camera"):
         serial = node.get("serial", "")
-        if not serial or serial in cameras:
+        if not serial or serial in cameras or serial in uncalibrated:
             raise UserError(f"{path}: expected a unique serial number, got '{serial}'; export it again")
-        if node.get("active", "1") == "1":
+        if node.get("active", "1") != "1":
+            continue
+        if node.get("calibrated", "true").lower() in ("false", "0"):
+            uncalibrated.append(serial)
+        else:
             cameras[serial] = _CameraNode(path, serial, node).camera()
     if not cameras:
-        raise UserError(f"{path}: expected <camera> entries, got none; export it again")
-    return cameras
+        got = f"only cameras without a calibration ({', '.join(uncalibrated)})" if uncalibrated else "none"
+        raise UserError(f"{path}: expected <camera> entries with a calibration, got {got}; export it again")
+    return cameras, uncalibrated
 
 
 class _CameraNode:

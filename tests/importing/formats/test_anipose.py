@@ -61,6 +61,33 @@ def test_cameras_project_as_the_originals(source: Path, scale: float, note: str,
     assert "metadata of the calibration: adjusted True, error 0.75" in imported.notes
 
 
+def test_a_long_table_before_the_cameras(source: Path) -> None:
+    """Catches a calibration that is not recognised, because FreeMoCap's long table of metadata comes first."""
+    text = calibration_toml(1)
+    path = "C:/Users/name/freemocap_data/" * 200
+    head = f'[metadata]\nadjusted = false\npath_to_recorded_videos = "{path}"\n'
+    (source / "calibration.toml").write_text(head + text[: text.index("[metadata]")])
+    assert detect_format(source) == "anipose"
+    assert len(read(source).cameras) == 3
+
+
+@pytest.mark.parametrize(
+    ("written", "expected"),
+    [
+        ("[0.1]", [0.1, 0, 0, 0, 0]),
+        ("[0.1, 0.2, 0.0]", [0.1, 0.2, 0, 0, 0]),
+        ("[[0.1, 0.2, 0.3, 0.4]]", [0.1, 0.2, 0.3, 0.4]),
+    ],
+)
+def test_shapes_of_distortions(source: Path, written: str, expected: list[float]) -> None:
+    """Catches short lists and matrices of one row, which are refused although their meaning is clear."""
+    edit(source / "calibration.toml", f"distortions = {BARREL.tolist()}", f"distortions = {written}")
+    calibration = read(source).cameras[0].calibration
+    assert calibration is not None
+    assert calibration.distortion is not None
+    assert calibration.distortion.tolist() == expected
+
+
 def test_unit_of_a_single_camera_is_unknown(source: Path) -> None:
     text = calibration_toml(1000)
     (source / "calibration.toml").write_text(text[: text.index("[cam_1]")])
@@ -103,6 +130,11 @@ def test_two_calibrations_are_refused(source: Path) -> None:
             "[0.0, 0.0, 1.0]]",
             "[0.0, 0.0, 2.0]]",
             r"\[cam_0\]: expected intrinsics with last row 0 0 1, got last row \[0.0, 0.0, 2.0\]",
+        ),
+        (
+            f"distortions = {BARREL.tolist()}",
+            "distortions = [0.1, 0.2, 0.3]",
+            r"\[cam_0\]: distortions: expected 4 or 5 numbers, got \[0.1, 0.2, 0.3\], in which the third one may",
         ),
         ("distortions = [-0.25,", "distortions = [0, 0,", r"\[cam_0\]: distortion: expected 4, 5, 8, 12 or 14"),
         (

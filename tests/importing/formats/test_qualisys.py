@@ -72,6 +72,17 @@ def test_cameras_without_video_are_noted(source: Path) -> None:
     assert "cameras without a video, not imported: 12" in read(source).notes
 
 
+def test_cameras_without_a_calibration_are_noted(source: Path, rng: np.random.Generator) -> None:
+    """Catches one uncalibrated camera, often a marker camera without a video, that stops the import of all others."""
+    empty = '<camera active="1" calibrated="false" serial="20" viewrotation="0"></camera>'
+    edit(source / "Calib.qca.txt", "</cameras>", f"{empty}</cameras>")
+    imported = read(source)
+    assert [camera.name for camera in imported.cameras] == [f"Miqus_{name}" for name in NAMES]
+    assert "cameras that Qualisys has not calibrated: 20" in imported.notes
+    (source / "Calib.qca.txt").write_text(f"<calibration><cameras>{empty}</cameras></calibration>")
+    assert_refused(read, source, r"expected <camera> entries with a calibration, got only cameras without .* \(20\);")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
