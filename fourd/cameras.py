@@ -7,7 +7,7 @@ torch, so that scenes can be opened and rendered without torch.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,9 @@ limit angle. Let A be the largest angle of the cameras that are chosen as source
 angles of at least A are considered, and the limit angle is the smallest of their angles. If there is no such camera,
 the limit angle is FADE_MARGIN * A; see :func:`fading_weights`.
 """
+EQUAL_POSITION = 1e-4
+"""Two cameras have equal positions if their distance is at most this fraction of the largest distance between two
+cameras of the rig."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,3 +248,35 @@ def _as_array(name: str, value: object, shape: tuple[int, ...]) -> Array:
         raise ValueError(f"{name}: expected finite numbers, got {array.tolist()}")
     array.flags.writeable = False
     return array
+
+
+def equal_positions(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
+    """Return the pairs (i, j), i < j, of cameras whose centres are equal within a 10,000th of the largest distance
+    between two cameras."""
+    centres = np.stack([camera.centre for camera in cameras]) if cameras else np.zeros((0, 3))
+    distances = np.linalg.norm(centres[:, None] - centres[None], axis=2)
+    limit = EQUAL_POSITION * float(distances.max(initial=0))
+    return [(int(i), int(j)) for i, j in np.argwhere(distances <= limit) if i < j]
+
+
+def describe_equal_positions(cameras: Mapping[str, Camera]) -> list[str]:
+    """Return one line for each set of cameras at equal positions, with the cameras' names, the keys of ``cameras``."""
+    names, views = list(cameras), list(cameras.values())
+    sets: list[set[int]] = []
+    for i, j in equal_positions(views):
+        known = next((each for each in sets if i in each or j in each), None)
+        if known is None:
+            sets.append({i, j})
+        else:
+            known |= {i, j}
+    lines = []
+    for each in sets:
+        first, *others = sorted(each)
+        same = all(np.allclose(views[first].rotation, views[other].rotation, atol=1e-4) for other in others)
+        shown = [f"'{names[index]}'" for index in (first, *others)]
+        listed = f"{', '.join(shown[:-1])} and {shown[-1]}"
+        lines.append(
+            f"cameras {listed} have equal {'calibrations' if same else 'positions'}, so at least one of them is wrong; "
+            "calibrate them again, or check that no camera is listed twice"
+        )
+    return lines

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
+from math import inf
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
-from fourd.cameras import Camera
+from fourd.cameras import Camera, describe_equal_positions
 from fourd.capture.calibration import Calibration, check_calibration
+from fourd.capture.checks.damage import Skipped, decode_pictures
+from fourd.capture.checks.mattes import MatteTally
 from fourd.capture.decoding import decode_matte, decode_rgb, picture_size
 from fourd.capture.focus import find_focus
 from fourd.capture.frame_rate import read_rate
@@ -34,10 +36,8 @@ from fourd.progress import Track, untracked
 Value = TypeVar("Value")
 
 SAMPLED_MATTES = 5
-"""Number of mattes per camera that a check decodes. A deep check decodes all mattes."""
-MIN_COVERAGE = 1e-4
-MAX_COVERAGE = 0.98
-MAX_MEAN_COVERAGE = 0.6
+"""Minimum number of mattes per camera that a check decodes."""
+MIN_CAMERAS = 2
 MAX_FOCUS_MISS = 0.5
 """Maximum tangent of the angle between a camera's optical axis and the direction to the common focus, which is the
 point that the cameras face.
@@ -64,6 +64,7 @@ class Report:
         coverage: mean matte value as a fraction of white, averaged over the decoded mattes, or None if no matte was
             decoded. For a binary matte, this is the fraction of the image that the subject covers.
         nbytes: total size of all images, videos and mattes in bytes.
+        skipped: the files that were not decoded because decoding all of them takes too long, or None.
     """
 
     problems: tuple[str, ...]
@@ -77,15 +78,21 @@ class Report:
     ring_radius: float
     coverage: float | None
     nbytes: int
+    skipped: Skipped | None = None
 
 
-def check_capture(path: Path | str, *, deep: bool = False, track: Track = untracked) -> Report:
+def check_capture(
+    path: Path | str, *, deep: bool = False, decode_seconds: float = 0.0, track: Track = untracked
+) -> Report:
     """Check the files of a capture. Errors in the files are returned in the report and not raised.
 
     Args:
         path: the capture's folder.
-        deep: whether to decode all image files and mattes. If False, the check decodes only a few mattes per camera.
-            For each file that it does not decode, it checks only the file name and the image size in the file header.
+        deep: whether to decode all image files and mattes.
+        decode_seconds: if ``deep`` is False, all image files and mattes are decoded only if this probably takes at most
+            this number of seconds; otherwise, a sample is decoded. If it is 0, only a few mattes per camera are
+            decoded. For each file that is not decoded, only the file name and the image size in the file header are
+            checked.
         track: progress callback.
     """
     path = Path(path)
@@ -93,7 +100,7 @@ def check_capture(path: Path | str, *, deep: bool = False, track: Track = untrac
         got = "a file" if path.exists() else "no such folder"
         problem = f"{path}: expected a capture's folder, got {got}; check the path"
         return Report((problem,), (), (), 0, None, {}, False, 0, 0.0, None, 0)
-    return _Check(path, deep, track).report()
+    return _Check(path, inf if deep else decode_seconds, track).report()
 
 
 def first_lines(lines: Sequence[str], max_lines: int) -> Iterator[str]:
@@ -104,14 +111,14 @@ def first_lines(lines: Sequence[str], max_lines: int) -> Iterator[str]:
 
 
 class _Check:
-    def __init__(self, path: Path, deep: bool, track: Track) -> None:
+    def __init__(self, path: Path, decode_seconds: float, track: Track) -> None:
         self.path = path
-        self.deep = deep
+        self.decode_seconds = decode_seconds
         self.track = track
         self.problems: list[str] = []
         self.warnings: list[str] = []
         self.sizes: dict[str, tuple[int, int]] = {}
-        self.coverages: list[float] = []
+        self.mattes = MatteTally()
         self.nbytes = 0
         self.fps: Fraction | None = None
 
@@ -138,14 +145,20 @@ class _Check:
             self._check_folder(masks_folder / name, found, frames)
         files = [images_folder / name / file for name, found in images.items() for file in (found or {}).values()]
         files += [masks_folder / name / file for name, found in masks.items() for file in (found or {}).values()]
-        sampled = _sample_mattes(masks_folder, masks)
-        for file in self.track(files, len(files), "files"):
-            self._check_picture(file, calibrations.get(file.parent.name), file in sampled)
+        sized = [
+            file
+            for file in self.track(files, len(files), "files")
+            if self._check_header(file, calibrations.get(file.parent.name))
+        ]
+        skipped = self._decode(sized, _sample_mattes(masks_folder, masks))
         cameras = {name: self._to_camera(name, calibrations[name]) for name in names if name in calibrations}
         radius = self._check_poses({name: camera for name, camera in cameras.items() if camera is not None})
-        if names and not has_masks:
-            self.warnings.append(f"{self.path / 'masks'}: no mattes; make them with: fourd matte {self.path}")
-        self._check_mean_coverage()
+        self.warnings += self.mattes.warnings()
+        if self.mattes.is_empty and self.decode_seconds and not skipped:
+            self.problems.append(
+                f"{masks_folder}: expected mattes with the object in white, got only black ones; export the mattes "
+                "again, or delete them and run fourd matte"
+            )
         return Report(
             tuple(self.problems),
             tuple(self.warnings),
@@ -156,8 +169,9 @@ class _Check:
             has_masks,
             sum(_is_distorted(calibrations[name]) for name in names if name in calibrations),
             radius,
-            float(np.mean(self.coverages)) if self.coverages else None,
+            self.mattes.mean,
             self.nbytes,
+            skipped,
         )
 
     def _try(self, function: Callable[..., Value], *arguments: object) -> Value | None:
@@ -182,6 +196,11 @@ class _Check:
             self.problems.append(
                 f"{self.path / folder}: expected {'a video' if has_videos else 'a folder of images'} for each camera, "
                 "got none; check the capture's path"
+            )
+        if len(found) == 1:
+            self.problems.append(
+                f"{self.path / folder}: expected at least {MIN_CAMERAS} cameras, got 1 ('{found[0]}'); add the "
+                "recordings of the other cameras"
             )
         for name in found if calibrated else []:
             if name not in calibrated:
@@ -229,19 +248,37 @@ class _Check:
                 f"{folder / found[surplus[0]]}: a matte without an image is not used ({len(surplus)} such files)"
             )
 
-    def _check_picture(self, file: Path, calibration: Calibration | None, is_sampled: bool) -> None:
-        name, is_matte = file.parent.name, file.parent.parent.name != "images"
+    def _check_header(self, file: Path, calibration: Calibration | None) -> bool:
+        """Check the header of an image or matte. Returns whether it can be read."""
         size = self._try(picture_size, file)
         if size is None:
-            return
+            return False
         self.nbytes += file.stat().st_size
-        self._check_size(file, name, calibration, size, is_matte)
-        if is_matte and (is_sampled or self.deep):
-            matte = self._try(decode_matte, file)
-            if matte is not None:
-                self._check_matte(file, matte)
-        elif self.deep:
+        self._check_size(file, file.parent.name, calibration, size, self._is_matte(file))
+        return True
+
+    def _is_matte(self, file: Path) -> bool:
+        return file.parent.parent.name != "images"
+
+    def _decode(self, files: list[Path], sampled: set[Path]) -> Skipped | None:
+        """Decode the mattes ``sampled``, and as many other files as the time allows. Returns what was skipped."""
+        before, self.problems = self.problems, []
+        for file in sorted(sampled & set(files)):
+            self._decode_file(file)
+        others = [file for file in files if file not in sampled]
+        skipped = decode_pictures(others, self._decode_file, self.decode_seconds, self.track)
+        self.problems = [*before, *sorted(self.problems)]
+        return skipped
+
+    def _decode_file(self, file: Path) -> None:
+        if not self._is_matte(file):
             self._try(decode_rgb, file)
+            return
+        matte = self._try(decode_matte, file)
+        if matte is not None:
+            self.mattes.add(file, matte)
+            if 0 < matte.max() <= 1:
+                self.problems.append(f"{file}: expected matte values from 0 to 255, got 0 to 1; multiply them by 255")
 
     def _check_size(
         self, file: Path, name: str, calibration: Calibration | None, size: tuple[int, int], is_matte: bool
@@ -257,45 +294,21 @@ class _Check:
                 f"got {size[0]} x {size[1]}; export the file again at the expected size"
             )
 
-    def _check_matte(self, file: Path, matte: np.ndarray) -> None:
-        coverage = float(matte.mean()) / 255
-        self.coverages.append(coverage)
-        if 0 < matte.max() <= 1:
-            self.problems.append(f"{file}: expected matte values from 0 to 255, got 0 to 1; multiply them by 255")
-        elif coverage < MIN_COVERAGE:
-            self.warnings.append(f"{file}: the matte is empty; the object should be white")
-        elif coverage > MAX_COVERAGE:
-            self.warnings.append(
-                f"{file}: the matte is entirely white; it may be inverted (the object should be white)"
-            )
-
-    def _check_mean_coverage(self) -> None:
-        mean = float(np.mean(self.coverages)) if self.coverages else 0.0
-        if MAX_COVERAGE >= mean > MAX_MEAN_COVERAGE:
-            self.warnings.append(
-                f"{self.path / 'masks'}: mattes cover {mean:.0%} of the images; they may be inverted "
-                "(the object should be white)"
-            )
-
     def _to_camera(self, name: str, calibration: Calibration) -> Camera | None:
         with suppress(ValueError):
             return calibration.camera(*self.sizes.get(name, (1, 1)))
         return None
 
     def _check_poses(self, cameras: dict[str, Camera]) -> float:
-        """Warn of cameras at the same position, and of cameras that face away from the common focus.
+        """Warn of cameras at equal positions, and of cameras that face away from the common focus.
 
         Returns:
             The mean distance between the cameras and their common focus in world units; 0 if there is no common focus.
         """
         if len(cameras) < 2:
             return 0.0
-        counts = Counter(tuple(np.round(camera.centre, 6)) for camera in cameras.values())
-        for name, camera in cameras.items():
-            if counts[tuple(np.round(camera.centre, 6))] > 1:
-                self.warnings.append(
-                    f"{self.path / 'extri.yml'}: camera '{name}' is at the same position as another camera"
-                )
+        for line in describe_equal_positions(cameras):
+            self.warnings.append(f"{self.path / 'extri.yml'}: {line}")
         focus = find_focus(list(cameras.values()))
         if focus is None:
             return 0.0

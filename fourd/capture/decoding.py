@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from fourd.errors import UserError
+from fourd.formats.picture_end import has_end
 from fourd.limits import open_regular
 
 PICTURE_FORMATS = ("JPEG", "PNG")
@@ -74,6 +75,9 @@ def _open(file: BinaryIO, name: Path | str, mode: str) -> Image.Image:
     try:
         with Image.open(file, formats=PICTURE_FORMATS) as image:
             image.load()
+            file.seek(0)
+            if not has_end(file.read()):
+                raise ValueError("no marker of its end")
             if image.mode.startswith("I;16"):
                 return Image.fromarray((np.asarray(image) >> 8).astype(np.uint8)).convert(mode)
             return image.convert(mode)

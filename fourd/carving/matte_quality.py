@@ -82,8 +82,7 @@ class MatteQuality:
         worst = next(iter(self.warnings()), "no view is much worse than the others")
         raise UserError(
             f"{path}: expected mattes of which the visual hull covers at least a third, got {self.kept_share:.0%} "
-            f"({worst}); fix the mattes (docs/matting.md), check the calibration with fourd check, or continue with "
-            "--accept-mattes"
+            f"({worst}); fix the mattes (docs/matting.md) or the calibration, or continue with --accept-mattes"
         )
 
     def save(self, path: Path) -> None:

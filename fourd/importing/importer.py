@@ -10,6 +10,7 @@ from fourd.calibration.ambiguities import PrincipalPointMode, resolve_ambiguitie
 from fourd.calibration.chessboard import Board
 from fourd.calibration.scale import Distance, set_world_frame
 from fourd.calibration.structure_from_motion import calibrate_from_pictures
+from fourd.cameras import describe_equal_positions
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
 from fourd.capture.frame_rate import FPS_IS_FOR_PICTURES, read_rate, standard_rate
 from fourd.capture.layout import DERIVED, refuse_symlinks, sample_indices
@@ -284,6 +285,10 @@ def _calibrate(
             log(line)
         for line in resolved.warnings:
             warn(line)
+    for line in describe_equal_positions(cameras):
+        warn(line)
+    if len(cameras) == 1:
+        warn(f"camera '{names[0]}' is the only one; a scene needs the recordings of at least 2 cameras")
     cameras, notes = set_world_frame(cameras, first, options.distance, options.board)
     for line in notes:
         log(line)

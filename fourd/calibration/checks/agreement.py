@@ -11,6 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.calibration.camera_matching import MIN_FEATURE_MATCHES, match_cameras
+from fourd.calibration.checks.evidence import (
+    MIN_JUDGED,
+    CameraEvidence,
+    contradicting_matches,
+    gather_evidence,
+    with_baselines,
+)
 from fourd.calibration.checks.match_score import MatchScore, score_matches
 from fourd.calibration.checks.mixups import find_mixups
 from fourd.calibration.matching import Matches, distort_points
@@ -22,7 +29,7 @@ from fourd.calibration.residuals import (
     compute_residuals,
     match_pairs,
 )
-from fourd.cameras import Camera
+from fourd.cameras import Camera, equal_positions
 from fourd.capture.calibration import EXTRINSICS_NAME
 from fourd.capture.layout import sample_indices
 from fourd.capture.reader import open_capture
@@ -65,22 +72,35 @@ class Agreement:
 
     Attributes:
         score: median residual and fraction of agreeing matches, or None if no camera pair has enough matches.
-        worst: name of the camera with the largest residual, and its residual in pixels, or None if no camera pair has
-            enough matches.
+        evidence: what the matches say about each camera.
         pairs: number of camera pairs with enough matches.
         matches: total number of matches.
         mixups: one line for each camera with upside-down images, and one for each pair of cameras with exchanged
             calibrations.
+        suspicious: names of the cameras whose calibration is probably wrong: they disagree with the others in many
+            matches, or two of them are at equal positions.
         warnings: the lines of ``mixups``. If ``mixups`` is empty, one line for each camera that disagrees with the
             others, or one line if all cameras disagree.
     """
 
     score: MatchScore | None
-    worst: tuple[str, float] | None
+    evidence: tuple[CameraEvidence, ...]
     pairs: int
     matches: int
     mixups: tuple[str, ...]
+    suspicious: tuple[str, ...]
     warnings: tuple[str, ...]
+
+    @property
+    def worst(self) -> CameraEvidence | None:
+        """The verified camera with the largest median residual, among those with enough matches for a figure."""
+        judged = [each for each in self.evidence if each.is_verified and each.matches >= MIN_JUDGED]
+        return max(judged, key=lambda each: each.median_px, default=None)
+
+    @property
+    def unverified(self) -> tuple[CameraEvidence, ...]:
+        """The cameras whose calibration the matches do not confirm."""
+        return tuple(each for each in self.evidence if not each.is_verified)
 
 
 def match_capture(path: Path | str, track: Track | None = None) -> CaptureMatches:
@@ -141,18 +161,21 @@ def check_agreement(path: Path | str, track: Track | None = None) -> Agreement:
 
 def assess_agreement(path: Path | str, found: CaptureMatches) -> Agreement:
     """Compute the epipolar residuals of the matches ``found`` in the capture ``path``."""
-    residuals = compute_residuals(found.matches, found.cameras)
-    count = sum(map(len, found.matches.values()))
+    matches = with_baselines(found.matches, found.cameras)
+    residuals = compute_residuals(matches, found.cameras)
+    count = sum(map(len, matches.values()))
+    evidence = gather_evidence(found.names, matches, found.cameras)
+    equal = {index for pair in equal_positions(found.cameras) for index in pair}
     if not residuals.pairs:
-        return Agreement(None, None, 0, count, (), ())
-    by_camera = [(name, px) for name, px in zip(found.names, residuals.cameras, strict=True) if px is not None]
-    score = score_matches(found.matches, found.cameras)
+        return Agreement(None, evidence, 0, count, (), _names(found, equal), ())
+    score = score_matches(matches, found.cameras)
     file = Path(path) / EXTRINSICS_NAME
-    mixups = tuple(f"{path}: {each.describe(found.names)}" for each in find_mixups(found.matches, found.cameras))
+    mixups = tuple(f"{path}: {each.describe(found.names)}" for each in find_mixups(matches, found.cameras))
+    bad = [index for index in residuals.bad if contradicting_matches(residuals, index) >= MIN_JUDGED]
     warnings = list(mixups) or [
         f"{file}: camera '{found.names[index]}' disagrees with the others by {residuals.cameras[index] or 0:.1f} px; "
         "calibrate it again, or exclude it with --views"
-        for index in residuals.bad
+        for index in bad
     ]
     if not warnings and is_disagreeing(score) and len(residuals.pairs) > 1:
         warnings.append(
@@ -160,8 +183,12 @@ def assess_agreement(path: Path | str, found: CaptureMatches) -> Agreement:
             "another recording; fourd make tries to refine it; if that fails, calibrate again, or run fourd import "
             "again to check for resized images and mirrored principal points"
         )
-    worst = max(by_camera, key=lambda camera: camera[1])
-    return Agreement(score, worst, len(residuals.pairs), count, mixups, tuple(warnings))
+    suspicious = _names(found, equal | set(bad))
+    return Agreement(score, evidence, len(residuals.pairs), count, mixups, suspicious, tuple(warnings))
+
+
+def _names(found: CaptureMatches, cameras: set[int]) -> tuple[str, ...]:
+    return tuple(found.names[index] for index in sorted(cameras))
 
 
 def is_disagreeing(score: MatchScore) -> bool:

@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fourd.calibration.checks.agreement import Agreement, check_agreement
+from fourd.calibration.checks.verdict import describe_residuals, describe_verified, judge
 from fourd.capture import open_capture
 from fourd.capture.check import Report, check_capture, first_lines
 from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
@@ -22,21 +23,27 @@ from fourd.storage import local_copy
 from fourd.sync.lateness import find_late_cameras
 
 MOST_LINES = 20
+DECODE_SECONDS = 60.0
+"""All images and mattes are decoded if this probably takes at most this number of seconds."""
 MEASURED_FRAMES = 12
 """Number of frames in which each matte is compared with the visual hull of the other views."""
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """The exit code is 0 if fourd can use the capture, else 2."""
+    """The exit code is 0 if fourd can use the capture, else 2. "Good to use" means that the files are whole and that
+    matches between the images confirm the calibration of every camera.
+    """
 
     capture: CaptureLocation
     """Capture folder, or a URL such as s3://bucket/capture."""
     deep: bool = False
-    """Decode all images to find damaged files."""
+    """Decode all images and mattes to find damaged files, however long it takes. By default, all are decoded if this
+    takes at most about a minute; otherwise, a sample is decoded, and the report says how large it is."""
     quick: bool = False
-    """Skip the checks that decode images: epipolar residuals, time offsets between the cameras, and the agreement of
-    the mattes with the visual hull. The skipped checks take a few seconds for 20 cameras of 512 x 512 pixels."""
+    """Skip the checks that decode images: damaged files, epipolar residuals, time offsets between the cameras, and the
+    agreement of the mattes with the visual hull. The skipped checks take a few seconds for 20 cameras of 512 x 512
+    pixels."""
 
 
 def run(arguments: Arguments) -> None:
@@ -47,23 +54,28 @@ def run(arguments: Arguments) -> None:
 
 def _check(capture: Path, arguments: Arguments) -> None:
     console = Terminal()
-    report = check_capture(capture, deep=arguments.deep, track=Tracker(Terminal(stderr=True)).track)
+    track = Tracker(Terminal(stderr=True)).track
+    seconds = 0.0 if arguments.quick else DECODE_SECONDS
+    report = check_capture(capture, deep=arguments.deep, decode_seconds=seconds, track=track)
     agreement = quality = None
     found: list[str] = []
     if not (arguments.quick or report.problems):
         try:
-            agreement = _agreement(capture)
-            track = Tracker(Terminal(stderr=True)).track
+            agreement = check_agreement(capture, track)
+            report = replace(report, problems=agreement.mixups)
             found += find_late_cameras(capture, track)
             found += find_foreign_mattes(capture, track)
             quality = _quality(capture) if report.has_masks else None
+            if quality is not None:
+                quality.require_hull(capture)
         except UserError as error:
-            # Feature matching decodes images, so it can find damage that the check without --deep misses.
-            report = replace(report, problems=(str(error),))
+            # Feature matching decodes images, so it can find damage in files that were not decoded before.
+            report = replace(report, problems=(*report.problems, str(error)))
     name = str(arguments.capture)
     console.print(_facts(name, report, agreement, quality))
     poor = quality.warnings() if quality else ()
-    warnings = (*report.warnings, *(agreement.warnings if agreement else ()), *found, *poor)
+    disagreeing = () if agreement is None or agreement.mixups else agreement.warnings
+    warnings = (*report.warnings, *disagreeing, *found, *poor)
     for title, style, lines in (("problem", "bold red", report.problems), ("warning", "yellow", warnings)):
         for line in first_lines(lines, MOST_LINES):
             # If the capture is in an object store such as S3, the check runs on a local copy of it. Messages name the
@@ -73,12 +85,13 @@ def _check(capture: Path, arguments: Arguments) -> None:
     if report.problems:
         more = len(report.problems) - 1
         raise UserError(report.problems[0] + (f" (and {more} more, listed above)" if more else ""))
-    next_command = f"next: fourd make {name} -o scene.4dv"
-    console.print(Text("Good to use", "green"), next_command, sep="; ", soft_wrap=True)
-
-
-def _agreement(path: Path) -> Agreement:
-    return check_agreement(path, Tracker(Terminal(stderr=True)).track)
+    verdict = judge(agreement, warnings)
+    console.print(
+        Text(verdict.words, "green" if verdict.is_good else "yellow"),
+        f"next: fourd make {name} -o scene.4dv",
+        sep="; ",
+        soft_wrap=True,
+    )
 
 
 def _quality(path: Path) -> MatteQuality | None:
@@ -98,19 +111,13 @@ def _facts(name: str, report: Report, agreement: Agreement | None, quality: Matt
     table.add_row("distortion", f"in {report.distorted} cameras" if report.distorted else "none")
     table.add_row("distance", f"{report.ring_radius:.3g} world units from the cameras to the point they face")
     if agreement is not None:
-        table.add_row("residuals", _residuals(agreement))
+        table.add_row("residuals", describe_residuals(agreement))
+        table.add_row("calibration", describe_verified(agreement))
     coverage = "" if report.coverage is None else f"; {report.coverage:.1%} of the pixels are foreground"
     kept = "" if quality is None else f"; the visual hull covers {quality.kept_share:.0%} of them"
-    table.add_row("mattes", ("yes" if report.has_masks else "none") + coverage + kept)
+    mattes = "yes" if report.has_masks else "none; fourd make or fourd matte makes them"
+    table.add_row("mattes", mattes + coverage + kept)
+    if report.skipped is not None:
+        table.add_row("damage", str(report.skipped))
     table.add_row("size", f"{report.nbytes / 1e6:.1f} MB")
     return table
-
-
-def _residuals(agreement: Agreement) -> str:
-    if agreement.score is None or agreement.worst is None:
-        return f"unknown: only {agreement.matches} points match between the cameras, which are too few"
-    name, worst_px = agreement.worst
-    return (
-        f"{agreement.score} of their epipolar lines, over {agreement.pairs} camera pairs; "
-        f"worst camera: {name}, {worst_px:.2f} px"
-    )

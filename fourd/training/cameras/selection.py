@@ -77,6 +77,11 @@ def open_run_views(path: Path, selection: DataSelection, run: Path | None = None
     held_out = select_views(selection.test_views, capture.names, "--test-views") if selection.test_views else []
     test = [capture.names.index(name) for name in held_out]
     training = [index for index in range(len(capture.names)) if index not in test]
+    if len(capture.names) < 2:
+        raise UserError(
+            f"{path}: expected at least 2 cameras, got {len(capture.names)}; add recordings of other cameras, or "
+            "choose more --views"
+        )
     if len(training) < 2:
         raise UserError(
             f"{path}: expected at least 2 training views, got {len(training)}; hold out fewer views with --test-views"

@@ -15,6 +15,7 @@ from fourd.pipeline.stages.plates import MATTE_PATTERNS
 from fourd.training.cameras.selection import DECODED_MB, DataSelection, open_run_views
 from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL
 
+MIN_CAMERAS = 2
 MEASURED_FRAMES = 6
 """Number of frames whose mattes are compared with their visual hull before carving."""
 
@@ -92,6 +93,11 @@ def carve_run_stage(
 def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context) -> None:
     """Carve every frame. Points that an earlier call carved with the same settings are kept."""
     with _open_training_views(files, settings.selection) as capture:
+        if len(capture.cameras) < MIN_CAMERAS:
+            raise UserError(
+                f"{capture.path}: expected at least {MIN_CAMERAS} cameras, got {len(capture.cameras)}; add recordings "
+                "of other cameras, or choose more --views"
+            )
         if not capture.has_masks:
             raise UserError(
                 f"{capture.path}: expected masks/CAM/FRAME.png or mattes, got none; "
