@@ -52,6 +52,8 @@ FAULTS: tuple[Fault, ...] = (
 SIZES = (64, 64, 64, 64, 80, 96, 96, 128, 192, 256, 512)
 MAX_CAMERA_PIXELS = 540_000
 """Maximum number of pixels of all images of a frame. Rigs with more pixels use the smallest size instead."""
+MAX_FULL_PIXELS = 25_000
+"""Maximum number of pixels of all images of a frame in recipes of full scenes. Their stereo depth maps are slow."""
 
 
 @dataclass(frozen=True)
@@ -100,10 +102,11 @@ def draw_recipe(seed: int, *, max_cameras: int = 12, sizes: tuple[int, ...] = SI
     if cameras * size * size > MAX_CAMERA_PIXELS:
         size = sizes[0]
     is_calibrated = bool(rng.random() < 0.85)
+    is_small = cameras * size * size <= MAX_FULL_PIXELS
     return Recipe(
         seed=seed,
         cameras=cameras,
-        frames=_one_of(rng, (1, 2, 3, 4, 6) if is_calibrated else (2, 3)),
+        frames=_one_of(rng, (1, 2, 2, 3, 4) if is_calibrated else (2, 3)),
         size=size,
         aspect=_one_of(rng, (1.0, 0.75, 0.5625, 1.5)),
         arc_deg=_one_of(rng, (360.0, 180.0, 90.0, 30.0)),
@@ -115,7 +118,7 @@ def draw_recipe(seed: int, *, max_cameras: int = 12, sizes: tuple[int, ...] = SI
         faults=tuple(fault for fault in FAULTS if rng.random() < 0.1),
         suffix=_one_of(rng, (".png", ".jpg")),
         is_calibrated=is_calibrated,
-        scene=_one_of(rng, ("object",) * 7 + ("full",)),
+        scene="full" if is_small and rng.random() < 0.2 else "object",
     )
 
 

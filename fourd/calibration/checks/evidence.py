@@ -14,26 +14,27 @@ from fourd.cameras import Camera, equal_positions
 MIN_JUDGED = 40
 """Minimum number of matches for a figure of one camera. Between distant cameras, some tens of matches can all be
 wrong."""
+MIN_CONFIRMING = 0.5
+"""Minimum fraction of a verified camera's matches that are in pairs which confirm its calibration."""
 
 
 @dataclass(frozen=True)
 class CameraEvidence:
     """The matches of one camera with the other cameras.
 
-    A pair of cameras confirms their calibrations if its median residual is at most 3 pixels. Wrong matches do not give
-    such a median by chance, but they can give any larger one. Therefore, the calibration of a camera in a confirming
-    pair is verified, and its other pairs are not counted.
+    A pair of cameras confirms their calibrations if its median residual is at most 3 pixels. Wrong matches rarely give
+    such a median by chance, but they can give any larger one. Therefore, a camera is verified if its confirming pairs
+    have at least half of its matches, and its other pairs are then not counted.
 
     Attributes:
         name: the camera's name.
-        pairs: number of confirming pairs. If it is 0, number of pairs with at least 8 matches.
-        matches: number of matches in these pairs.
+        matches: number of matches in the confirming pairs of a verified camera. For other cameras, number of matches in
+            all pairs with at least 8 matches.
         median_px: median distance of these matches from their epipolar lines in pixels, or NaN if there are none.
-        is_verified: whether a pair confirms the calibration.
+        is_verified: whether the confirming pairs have enough matches.
     """
 
     name: str
-    pairs: int
     matches: int
     median_px: float
     is_verified: bool
@@ -71,10 +72,10 @@ def gather_evidence(
     for index, name in enumerate(names):
         own = [each for pair, each in distances.items() if index in pair]
         confirming = [each for each in own if np.median(each) <= MAX_GOOD_PX]
-        used = confirming or own
-        pooled = np.concatenate([np.zeros(0), *used])
+        is_verified = bool(confirming) and sum(map(len, confirming)) >= MIN_CONFIRMING * sum(map(len, own))
+        pooled = np.concatenate([np.zeros(0), *(confirming if is_verified else own)])
         median = float(np.median(pooled)) if len(pooled) else float("nan")
-        gathered.append(CameraEvidence(name, len(used), len(pooled), median, bool(confirming)))
+        gathered.append(CameraEvidence(name, len(pooled), median, is_verified))
     return tuple(gathered)
 
 

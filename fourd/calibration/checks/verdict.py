@@ -57,8 +57,9 @@ def describe_residuals(agreement: Agreement) -> str:
     """Return the residuals of all matches, and of the worst camera."""
     if agreement.score is None:
         return f"unknown: only {agreement.matches} points match between the cameras, which are too few"
-    worst = agreement.worst
-    shown = f"; worst camera: {worst}" if worst else ""
+    # If most cameras are not verified, the worst of the others says nothing about the calibration.
+    worst = agreement.worst if 2 * len(agreement.unverified) < len(agreement.evidence) else None
+    shown = f"; worst verified camera: {worst}" if worst else ""
     return f"{agreement.score} of their epipolar lines, over {agreement.pairs} camera pairs{shown}"
 
 

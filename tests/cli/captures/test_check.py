@@ -54,9 +54,9 @@ def test_truncated_masks_are_found(capture: Path, capsys: pytest.CaptureFixture[
     assert "expected a complete JPEG or PNG image" in printed(capsys, 2, "check", capture)
 
 
-@pytest.mark.parametrize("words", [["check"], ["carve"], ["train", "--out", "run", "--max-steps", "1"], ["make", "-o", "scene.4dv"]])
+@pytest.mark.parametrize("words", ["check", "carve", "train --out run --max-steps 1", "make -o scene.4dv"])
 def test_a_single_camera_is_refused(
-    capture: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: list[str]
+    capture: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: str
 ) -> None:
     """Catches a check that accepts one camera, and the ValueError of carving that followed."""
     monkeypatch.chdir(capture.parent)
@@ -65,7 +65,8 @@ def test_a_single_camera_is_refused(
         if folder.name != "00":
             shutil.rmtree(folder)
     write_calibration(capture, ["00"], [calibration.camera(64, 64)])
-    output = printed(capsys, 2, words[0], capture, *words[1:])
+    command, *options = words.split()
+    output = printed(capsys, 2, command, capture, *options)
     assert "expected at least 2 cameras, got 1" in output
     assert "Good to use" not in output
 
