@@ -64,6 +64,18 @@ def test_one_file_takes_one_frame(scene: Path, tmp_path: Path, capsys: pytest.Ca
     assert (tmp_path / "a.glb").is_file()
 
 
+def test_one_frame_of_usd_is_one_file(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a file that is written before the command fails."""
+    pytest.importorskip("pxr")
+    assert export(scene, "-o", tmp_path / "one.usdc", "--to", "usd", "--frames", "11:12") == 0
+    assert "one.usdc: 1 frame" in capsys.readouterr().err
+    assert export(scene, "-o", tmp_path / "two.usda", "--to", "usd", "--frames", "10:12") == 0
+    names = sorted(path.name for path in tmp_path.iterdir() if path != scene)
+    assert names == ["one.usdc", "two.usda", "two_frames"]
+    assert export(scene, "-o", tmp_path / "three.usdz", "--to", "usd") == 2
+    assert "three.usdz: expected a folder or a file .usdc for --to usd, got .usdz" in capsys.readouterr().err
+
+
 def test_broken_splats_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Catches a traceback for an incomplete file of another program."""
     (tmp_path / "a.splat").write_bytes(b"0" * 40)

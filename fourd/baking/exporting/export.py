@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.colour_fit import viewpoints
+from fourd.baking.exporting import usd
 from fourd.baking.exporting.gltf import write_splat_glb
-from fourd.baking.exporting.usd import require_usd, write_splat_usd, write_usd_scene
 from fourd.baking.rendering import Scene, render_frame
 from fourd.baking.scene import SceneManifest
 from fourd.baking.splats.cloud import SplatCloud, rotate_cloud
@@ -22,6 +22,7 @@ from fourd.baking.splats.raw import write_splat
 from fourd.baking.splats.spz import require_gsply, write_spz
 from fourd.cameras import estimate_up
 from fourd.capture.layout import sample_indices
+from fourd.errors import UserError
 from fourd.formats.ply import write_ply
 from fourd.progress import Track, untracked
 
@@ -38,6 +39,10 @@ SUFFIXES: dict[Format, str] = {
 Y_UP: tuple[Format, ...] = ("spz", "glb", "usd")
 """File formats in which the up direction is +y. In the other formats of Gaussian splats, it is -y. The format "ply",
 which stores coloured points, keeps the scene's axes."""
+OTHER_FILES = frozenset(
+    {*SUFFIXES.values(), *usd.SUFFIXES, ".usdz", ".gltf", ".sog", ".ksplat", ".4dv", ".obj", ".zip"}
+)
+"""Suffixes of files. A folder with such a name would look like a file of another format."""
 MEASURED_VIEWS, MEASURED_FRAMES = 4, 3
 """Maximum numbers of viewpoints and of frames for which the PSNR of an export is measured."""
 
@@ -68,8 +73,8 @@ class ExportReport:
     """Result of an export.
 
     Attributes:
-        files: the written files, one for each frame. For "usd", the last file is the additional file that plays the
-            frames.
+        files: the written files, one for each frame. For several frames of "usd", the last file is the additional file
+            that plays the frames.
         bytes_per_frame: mean size of a frame's file in bytes.
         psnr: PSNR in dB of renderings with the exported colours against renderings with the scene's colours, averaged
             over the measured images. Both are rendered by fourd from the capture's cameras and from cameras between
@@ -85,53 +90,77 @@ def export_scene(scene: Scene, out: Path, settings: ExportSettings, track: Track
     """Write frames of a scene, one at a time. Each file is written atomically.
 
     Args:
-        out: a file with the suffix of the format if there is only one frame, otherwise a folder.
+        out: see :func:`list_files`.
 
     Raises:
-        UserError: if a file cannot be written, or the package for the format is not installed.
+        UserError: if ``out`` is not valid, a file cannot be written, or the package for the format is not installed.
     """
     _require_packages(settings.format, out)
     manifest = scene.manifest
+    files = list_files(out, settings, manifest)
     fit = SplatFit(manifest, 0 if settings.format in ("splat", "ply") else settings.degree)
     rotation = _rotation(manifest, settings)
     loss = _LossMeter(manifest, settings.frames)
-    files = list_files(out, settings, manifest)
     for position, index in enumerate(track(settings.frames, len(settings.frames), "export")):
         frame = scene.frame(index)
         cloud = fit.convert(frame)
         loss.measure(scene, index, cloud)
         if rotation is not None:
             cloud = rotate_cloud(cloud, rotation)
-        _write(files[position], cloud, settings.format, position)
+        _write(files[position], cloud, settings.format, None if files == [out] else position)
     size = sum(file.stat().st_size for file in files) / max(len(files), 1)
-    if settings.format == "usd":
-        write_usd_scene(out, [f"frames/{file.name}" for file in files], settings.degree, manifest.fps)
-        files.append(out / "scene.usda")
+    if settings.format == "usd" and files != [out]:
+        player = out if _is_file_name(out, "usd") else out / usd.SCENE
+        names = [file.relative_to(player.parent).as_posix() for file in files]
+        usd.write_usd_scene(player, names, settings.degree, manifest.fps)
+        files.append(player)
     return ExportReport(tuple(files), size, loss.psnr)
 
 
 def list_files(out: Path, settings: ExportSettings, manifest: SceneManifest) -> list[Path]:
-    """Return the files of the frames. If ``out`` has the suffix of the format, ``out`` is the only file. Otherwise, the
-    files are in the folder ``out``, or in ``out/frames`` for USD.
+    """Return the files of the frames.
 
-    In a folder, each file name ends in the frame's number in the capture, so that other programs recognise the
-    sequence.
+    If ``out`` has a suffix of the format, it is the file of the only frame. In a folder ``out``, each file name ends in
+    the frame's number in the capture, so that other programs recognise the sequence. Several frames of USD are in the
+    folder ``out/frames``, beside ``out/scene.usda``; if ``out`` has a suffix of USD, it is the scene file, and the
+    frames of ``walk.usda`` are in the folder ``walk_frames``.
+
+    Raises:
+        UserError: if ``out`` has the suffix of another kind of file, or the format's suffix and there are several
+            frames in a format without a scene file.
     """
-    suffix = SUFFIXES[settings.format]
-    if out.suffix.lower() == suffix:
-        return [out]
-    folder = out / "frames" if settings.format == "usd" else out
+    kind, count = settings.format, len(settings.frames)
+    folder = out / "frames" if kind == "usd" else out
+    if _is_file_name(out, kind):
+        if count == 1:
+            return [out]
+        if kind != "usd":
+            raise UserError(
+                f"{out}: expected a folder for {count} frames, got the name of a file; "
+                "name a folder, or choose one frame with --frames"
+            )
+        folder = out.with_name(f"{out.stem}_frames")
+    elif out.suffix.lower() in OTHER_FILES and not out.is_dir():
+        raise UserError(
+            f"{out}: expected a folder or a file {SUFFIXES[kind]} for --to {kind}, got {out.suffix}; name another path"
+        )
+    suffix = SUFFIXES[kind]
     return [folder / f"frame_{manifest.frame_numbers[index]:06d}{suffix}" for index in settings.frames]
+
+
+def _is_file_name(out: Path, kind: Format) -> bool:
+    """Return whether ``out`` names a file of the format, not a folder."""
+    return out.suffix.lower() in (usd.SUFFIXES if kind == "usd" else (SUFFIXES[kind],)) and not out.is_dir()
 
 
 def _require_packages(kind: Format, out: Path) -> None:
     if kind == "spz":
         require_gsply(out)
     if kind == "usd":
-        require_usd(out)
+        usd.require_usd(out)
 
 
-def _write(path: Path, cloud: SplatCloud, kind: Format, time: int) -> None:
+def _write(path: Path, cloud: SplatCloud, kind: Format, time: int | None) -> None:
     writers: dict[Format, Callable[[Path, SplatCloud], None]] = {
         "ply-sequence": write_splat_ply,
         "splat": write_splat,
@@ -140,7 +169,7 @@ def _write(path: Path, cloud: SplatCloud, kind: Format, time: int) -> None:
         "ply": _write_points,
     }
     if kind == "usd":
-        write_splat_usd(path, cloud, float(time))
+        usd.write_splat_usd(path, cloud, time)
     else:
         writers[kind](path, cloud)
 

@@ -1,7 +1,7 @@
 """Gaussian splats in USD files, with the schema ParticleField3DGaussianSplat of the package usd-core.
 
-Each frame is stored in a separate file, so that neither the writer nor a player needs to hold all frames in memory. The
-file ``scene.usda`` plays these files as value clips.
+Each frame is stored in a separate file, so that neither the writer nor a player needs to hold all frames in memory. A
+scene file plays these files as value clips. One unit is a metre.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from fourd.files import atomic_path
 
 PRIM = "/splats"
 SCENE = "scene.usda"
+SUFFIXES = (".usda", ".usdc", ".usd")
+"""File names of one frame, and of the scene file of several frames: text, binary, and binary."""
 
 
 def require_usd(path: Path) -> None:
@@ -30,73 +32,92 @@ def require_usd(path: Path) -> None:
         )
 
 
-def write_splat_usd(path: Path, cloud: SplatCloud, time: float) -> None:
-    """Write one frame as a binary USD file (`.usdc`), atomically. The attribute values are time samples at the time
-    code ``time``.
+def write_splat_usd(path: Path, cloud: SplatCloud, time: float | None = None) -> None:
+    """Write one frame as a USD file, atomically. Its suffix, one of :data:`SUFFIXES`, selects text or binary.
+
+    The values are the attributes' default values. If ``time`` is given, they are also time samples at this time code,
+    because a value clip uses only time samples; the file stores equal arrays once.
 
     The cloud must have +y up.
     """
-    from pxr import Usd, UsdGeom, UsdVol, Vt
+    from pxr import Vt
 
     terms = cloud.sh.shape[-1]
     with atomic_path(path) as temporary:
-        stage = Usd.Stage.CreateNew(str(temporary))
-        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
-        field = UsdVol.ParticleField3DGaussianSplat.Define(stage, PRIM)
-        stage.SetDefaultPrim(field.GetPrim())
-        field.CreateRadianceSphericalHarmonicsDegreeAttr().Set(cloud.degree)
+        stage, field = _new_stage(temporary, cloud.degree)
         harmonics = cloud.sh.transpose(0, 2, 1).reshape(len(cloud) * terms, 3)
-        extent = _extent(cloud)
         values = (
-            (field.CreatePositionsAttr(), Vt.Vec3fArray.FromNumpy(_contiguous(cloud.xyz))),
-            (field.CreateScalesAttr(), Vt.Vec3fArray.FromNumpy(_contiguous(cloud.scale))),
-            (field.CreateOrientationsAttr(), Vt.QuatfArray.FromNumpy(_contiguous(cloud.rotation[:, [1, 2, 3, 0]]))),
-            (field.CreateOpacitiesAttr(), Vt.FloatArray.FromNumpy(_contiguous(cloud.opacity))),
-            (field.CreateRadianceSphericalHarmonicsCoefficientsAttr(), Vt.Vec3fArray.FromNumpy(_contiguous(harmonics))),
-            (field.CreateDisplayColorAttr(), Vt.Vec3fArray.FromNumpy(_contiguous(cloud.base_colour))),
-            (field.CreateExtentAttr(), Vt.Vec3fArray.FromNumpy(extent)),
+            Vt.Vec3fArray.FromNumpy(_contiguous(cloud.xyz)),
+            Vt.Vec3fArray.FromNumpy(_contiguous(cloud.scale)),
+            Vt.QuatfArray.FromNumpy(_contiguous(cloud.rotation[:, [1, 2, 3, 0]])),
+            Vt.FloatArray.FromNumpy(_contiguous(cloud.opacity)),
+            Vt.Vec3fArray.FromNumpy(_contiguous(harmonics)),
+            Vt.Vec3fArray.FromNumpy(_contiguous(cloud.base_colour)),
+            Vt.FloatArray.FromNumpy(_contiguous(cloud.opacity)),
+            Vt.Vec3fArray.FromNumpy(_extent(cloud)),
         )
-        for attribute, value in values:
-            attribute.Set(value, time)
+        for attribute, value in zip(_attributes(field), values, strict=True):
+            attribute.Set(value)
+            if time is not None:
+                attribute.Set(value, time)
         stage.GetRootLayer().Save()
 
 
-def write_usd_scene(folder: Path, frames: Sequence[str], degree: int, fps: float) -> None:
-    """Atomically write ``scene.usda``, which plays the files ``frames`` of ``folder`` at ``fps`` frames per second.
+def write_usd_scene(path: Path, frames: Sequence[str], degree: int, fps: float) -> None:
+    """Atomically write a scene file, which plays the files ``frames`` at ``fps`` frames per second.
 
-    The frames have the time codes 0, 1, 2 and so on.
+    Frame i is shown from the time code i until the time code i + 1, without a transition, because the points of
+    different frames do not correspond.
+
+    Args:
+        frames: paths of the frames' files relative to the folder of ``path``. Frame i has time samples at time code i.
     """
-    from pxr import Usd, UsdGeom, UsdVol
+    from pxr import Usd
 
-    with atomic_path(folder / SCENE) as temporary:
-        stage = Usd.Stage.CreateNew(str(temporary))
-        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    with atomic_path(path) as temporary:
+        stage, field = _new_stage(temporary, degree)
         stage.SetStartTimeCode(0)
         stage.SetEndTimeCode(len(frames) - 1)
         stage.SetTimeCodesPerSecond(fps)
         stage.SetFramesPerSecond(fps)
-        field = UsdVol.ParticleField3DGaussianSplat.Define(stage, PRIM)
-        stage.SetDefaultPrim(field.GetPrim())
-        field.CreateRadianceSphericalHarmonicsDegreeAttr().Set(degree)
-        for create in _animated(field):
-            create()
+        _attributes(field)
         clips = Usd.ClipsAPI(field.GetPrim())
         clips.SetClipAssetPaths([f"./{name}" for name in frames])
         clips.SetClipPrimPath(PRIM)
+        # The scene file itself declares the clips' attributes. Otherwise, USD would open every clip to find them.
+        clips.SetClipManifestAssetPath(f"./{path.name}")
         clips.SetClipActive([(float(index), float(index)) for index in range(len(frames))])
-        clips.SetClipTimes([(float(index), float(index)) for index in range(len(frames))])
+        # Two entries with the same stage time are a jump: between them, USD does not interpolate.
+        clips.SetClipTimes([(float(index + end), float(index)) for index in range(len(frames)) for end in (0, 1)])
         stage.GetRootLayer().Save()
 
 
-def _animated(field: Any) -> list[Any]:
+def _new_stage(path: Path, degree: int) -> tuple[Any, Any]:
+    """Return a new stage, and its only prim, which has no values but the degree of the spherical harmonics."""
+    from pxr import Usd, UsdGeom, UsdVol
+
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.LinearUnits.meters)
+    field = UsdVol.ParticleField3DGaussianSplat.Define(stage, PRIM)
+    stage.SetDefaultPrim(field.GetPrim())
+    field.CreateRadianceSphericalHarmonicsDegreeAttr().Set(degree)
+    return stage, field
+
+
+def _attributes(field: Any) -> list[Any]:
+    """Create the attributes that differ between frames."""
+    from pxr import UsdGeom
+
     return [
-        field.CreatePositionsAttr,
-        field.CreateScalesAttr,
-        field.CreateOrientationsAttr,
-        field.CreateOpacitiesAttr,
-        field.CreateRadianceSphericalHarmonicsCoefficientsAttr,
-        field.CreateDisplayColorAttr,
-        field.CreateExtentAttr,
+        field.CreatePositionsAttr(),
+        field.CreateScalesAttr(),
+        field.CreateOrientationsAttr(),
+        field.CreateOpacitiesAttr(),
+        field.CreateRadianceSphericalHarmonicsCoefficientsAttr(),
+        field.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).GetAttr(),
+        field.CreateDisplayOpacityPrimvar(UsdGeom.Tokens.vertex).GetAttr(),
+        field.CreateExtentAttr(),
     ]
 
 

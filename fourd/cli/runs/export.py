@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from fourd.baking.exporting.export import SUFFIXES, ExportSettings, Format, export_scene
+from fourd.baking.exporting.export import ExportSettings, Format, export_scene
 from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.report import PackSettings
 from fourd.baking.playable import PlayableScene, select_frames
@@ -41,7 +41,7 @@ class Arguments:
     """Run folder. With --to, a .4dv file or a file of Gaussian splats is also accepted."""
     out: OutLocation
     """The .4dv file to write, or its URL such as s3://bucket/scene.4dv. With --to, a folder, or a file if one frame is
-    exported."""
+    exported. With --to usd, a file such as walk.usda can also play several frames."""
     layers: int = BAKED_LAYERS
     """Number of points composited per pixel (K), 1 to 64."""
     fps: Annotated[float | None, option("FLOAT", "the recording's frame rate, or 30 if it is not known")] = None
@@ -127,11 +127,6 @@ def _export(arguments: Arguments, kind: Format, console: Console) -> None:
 
 def _write(arguments: Arguments, out: Path, kind: Format, scene: Scene, console: Console) -> None:
     frames = select_frames(PlayableScene(scene), arguments.frames)
-    if out.suffix.lower() == SUFFIXES[kind] and len(frames) != 1:
-        raise UserError(
-            f"{out}: expected a folder for {len(frames)} frames, got the name of a file; "
-            "name a folder, or choose one frame with --frames"
-        )
     settings = ExportSettings(kind, frames, arguments.degree, arguments.keep_axes)
     report = export_scene(scene, out, settings, Tracker(console).track)
     loss = "" if report.psnr is None else f"; PSNR of the colours against the scene: {report.psnr:.1f} dB"
