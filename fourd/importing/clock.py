@@ -15,6 +15,8 @@ from fourd.capture.video_list import Video, common_frames
 LONG_KEYFRAME_INTERVAL = 250
 """If the keyframes of a video are farther apart than this number of frames, a note suggests --unpack, because reading a
 frame decodes all frames since the last keyframe."""
+MAX_NAMES = 4
+"""Maximum number of videos that are named in a note about all videos."""
 MIN_TOLD_SECONDS = 5e-4
 """An error of the frame times is reported only if it is at least this number of seconds."""
 MIN_TOLD_FRAMES = 0.5
@@ -29,7 +31,9 @@ def describe_pictures(videos: Mapping[str, Video]) -> list[str]:
     for name, video in videos.items():
         for note in (*_stretching(video.index), *video.index.notes):
             groups.setdefault(note, []).append(name)
-    notes += [f"{', '.join(names)}: {note}" for note, names in groups.items()]
+    for note, names in groups.items():
+        who = f"all {len(names)} videos" if len(names) == len(videos) > MAX_NAMES else ", ".join(names)
+        notes.append(f"{who}: {note}")
     for turn in (90, 180, 270):
         names = [name for name, video in videos.items() if video.index.turn == turn]
         if names:

@@ -118,29 +118,40 @@ def _stretched(calibration: Camera, index: VideoIndex, reduce: float) -> tuple[C
     """Return the calibration of a video with non-square pixels for its stretched frames, and a note.
 
     A calibration whose images have the shape of the stored frames belongs to the stored frames, so it is stretched like
-    them. Otherwise, it belongs to the frames as players show them, and is not changed.
+    them. This also applies if its focal lengths and its principal point are those of the stored frames, because a
+    calibration without image size gets the size of the shown frames. Otherwise, it belongs to the frames as players
+    show them, and is not changed.
     """
-    shown_width, shown_height = (round(size / reduce) for size in index.unturned_size)
+    shown = (round(index.unturned_size[0] / reduce), round(index.unturned_size[1] / reduce))
     stored = (index.stored_width, index.stored_height)
     size = (calibration.width, calibration.height)
-    is_turned = index.turn % 180 != 0 and (size[0] > size[1]) != (stored[0] > stored[1])
-    if is_turned:
-        shown_width, shown_height, stored = shown_height, shown_width, stored[::-1]
-    shapes = [np.log(size[0] / size[1] * height / width) for width, height in (stored, (shown_width, shown_height))]
-    if abs(shapes[0]) > abs(shapes[1]):
-        return calibration, (
-            f"the calibration belongs to square pixels (its images are {size[0]} x {size[1]}), so it is not stretched"
-        )
-    x, y = shown_width / stored[0], shown_height / stored[1]
-    stretched = replace(
-        calibration,
-        intrinsics=np.diag([x, y, 1.0]) @ calibration.intrinsics,
-        width=round(size[0] * x),
-        height=round(size[1] * y),
-    )
-    return stretched, (
-        f"the calibration belongs to the stored pixels (its images are {size[0]} x {size[1]}), so it is stretched too"
-    )
+    if index.turn % 180 != 0 and (size[0] > size[1]) != (shown[0] > shown[1]):
+        shown, stored = shown[::-1], stored[::-1]
+    x, y = shown[0] / stored[0], shown[1] / stored[1]
+    k, text = calibration.intrinsics, f"its images are {size[0]} x {size[1]}"
+    if abs(_log_ratio(size, stored)) < abs(_log_ratio(size, shown)):
+        width, height = round(size[0] * x), round(size[1] * y)
+    elif _has_stored_lens(k, size, x / y):
+        (width, height), text = size, f"its focal lengths are {k[0, 0]:.5g} and {k[1, 1]:.5g}"
+    else:
+        return calibration, f"the calibration belongs to square pixels ({text}), so it is not stretched"
+    stretched = replace(calibration, intrinsics=np.diag([x, y, 1.0]) @ k, width=width, height=height)
+    return stretched, f"the calibration belongs to the stored pixels ({text}), so it is stretched too"
+
+
+def _log_ratio(size: tuple[int, int], other: tuple[int, int]) -> float:
+    """Return the logarithm of the ratio of two aspect ratios."""
+    return float(np.log(size[0] / size[1] * other[1] / other[0]))
+
+
+def _has_stored_lens(k: NDArray[np.float64], shown: tuple[int, int], aspect: float) -> bool:
+    """Return whether intrinsics belong to stored pixels of the given aspect ratio instead of square pixels: both the
+    ratio of the focal lengths and the principal point must say so."""
+    ratio = np.log(k[0, 0] / k[1, 1])
+    axis = 0 if aspect > 1 else 1
+    centre, squeezed = shown[axis] / 2, shown[axis] / 2 / max(aspect, 1 / aspect)
+    is_squeezed = abs(k[axis, 2] - squeezed) < abs(k[axis, 2] - centre)
+    return bool(is_squeezed and abs(ratio + np.log(aspect)) < abs(ratio))
 
 
 def _turned(name: str, calibration: Camera, turn: int) -> Camera:

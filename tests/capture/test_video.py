@@ -266,6 +266,38 @@ def test_damaged_list_is_reported(text: str, tmp_path: Path) -> None:
         list_videos(tmp_path)
 
 
+def write_old_list(capture: Path, change: dict[str, object]) -> None:
+    """Write the list of videos as an older version of fourd did: with other frames, and without the newer fields."""
+    write_listed_videos(capture)
+    content = json.loads((capture / NAME).read_text()) | {"version": 2}
+    for entry in content["cameras"].values():
+        known = ("width", "height", "start", "fps", "keyframes", "turn", "transfer", "scale", "tick", "times")
+        entry["index"] = {name: entry["index"][name] for name in known} | {"frames": 7} | change
+        entry["offset"] = 2.5
+    (capture / NAME).write_text(json.dumps(content))
+
+
+def test_older_lists_are_indexed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches frames of an older list that are named by wrong numbers, offsets of the list that are lost, and videos
+    that are indexed again by each process that opens the capture."""
+    write_old_list(tmp_path, {"width": 16, "height": 24, "scale": 0.5})
+    index_capture(tmp_path, None, untracked)
+    monkeypatch.setattr("fourd.capture.video_list.index_video", lambda path, _: pytest.fail(f"{path} is read again"))
+    videos = list_videos(tmp_path)
+    assert {name: (video.index.frames, video.offset) for name, video in videos.items()} == {
+        "a": (40, 2.5),
+        "b": (30, 2.5),
+    }
+    assert [(video.index.width, video.index.height) for video in videos.values()] == [(16, 24)] * 2
+
+
+def test_older_lists_of_other_sizes_are_refused(tmp_path: Path) -> None:
+    """Catches a calibration of squeezed frames that is used for the stretched frames of this version."""
+    write_old_list(tmp_path, {"width": 24})
+    with pytest.raises(UserError, match=r"expected frames of 24 x 48 pixels in a.mp4, got 32 x 48, .*; import again"):
+        list_videos(tmp_path)
+
+
 def test_newer_list_is_refused(tmp_path: Path) -> None:
     """Catches a file of a newer format version that is read as the current version."""
     (tmp_path / NAME).write_text(json.dumps({"version": 4, "cameras": {}}))

@@ -101,6 +101,7 @@ def deinterlace(frames: Sequence[av.VideoFrame], chosen: int) -> av.VideoFrame:
 
     Args:
         frames: the frame before, the frame, and the frame after; at the ends of the video without the missing one.
+            Their presentation times are overwritten.
         chosen: index of the frame in ``frames``.
 
     Raises:
@@ -114,13 +115,10 @@ def deinterlace(frames: Sequence[av.VideoFrame], chosen: int) -> av.VideoFrame:
     for start, end in pairwise(nodes):
         start.link_to(end)
     graph.configure()
-    kept = [(frame.pts, frame.time_base) for frame in frames]
     for position, frame in enumerate(frames):
         frame.pts, frame.time_base = position, Fraction(1, 1000)
         graph.vpush(frame)
     graph.vpush(None)
-    for frame, (pts, base) in zip(frames, kept, strict=True):
-        frame.pts, frame.time_base = pts, base
     found = []
     try:
         while True:

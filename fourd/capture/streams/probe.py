@@ -37,6 +37,9 @@ MAX_LEADING = 16
 STRICT_CODECS = ("hevc", "mjpeg")
 """Codecs whose decoders guess damaged data without a word, unless they are told to report it."""
 STRICT_FRAMES = 8
+UNCHECKED_CODECS = ("hevc",)
+"""Codecs of which damage is also inferred from packets that MPEG-TS marks as damaged. Decoders of the other codecs find
+it themselves, and packets are also marked where two whole recordings are joined."""
 INTRA_CONTAINERS = (*TIMED_CONTAINERS, "avi")
 """Containers in which the times identify the frames of codecs whose frames refer to no others."""
 CHECKED_FRAMES = 32
@@ -164,9 +167,10 @@ def index_by_decoding(path: Path, packets: Packets) -> VideoIndex:
     try:
         for each in decoder.from_start():
             frame = each.frame
-            if not labels and not (frame.key_frame and not frame.is_corrupt):
+            is_key = frame.key_frame or (packets.codec not in FRAME_CODECS and bool(packets.keys[each.label]))
+            if not labels and (frame.is_corrupt or not is_key):
                 continue
-            if frame.is_corrupt or not 0 <= each.label < len(packets) or packets.damaged[each.label]:
+            if frame.is_corrupt or (packets.codec in UNCHECKED_CODECS and packets.damaged[each.label]):
                 raise _broken(path, len(labels))
             look = look or look_at(path, frame, packets.aspect)
             check_size(path, frame, len(labels), look.stored_size)
@@ -299,7 +303,7 @@ def _make_index(
             f"{path}: expected a video of at least 2 frames, got 1; record the video again, or put this frame as "
             f"an image into the folder {path.stem}/"
         )
-    fps, is_even = frame_rate(path, times, packets.tick)
+    fps, is_even = frame_rate(path, times, packets.tick, packets.rate)
     width, height = look.size
     return VideoIndex(
         width,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.capture.frame_rate import STANDARD_TOLERANCE, standard_rate
+from fourd.capture.frame_rate import STANDARD_RATES, STANDARD_TOLERANCE, standard_rate
 from fourd.capture.streams.index import MAX_FPS, MIN_FPS
 from fourd.errors import UserError
 
@@ -22,12 +22,13 @@ MIN_TICKS = 4
 """Minimum number of ticks between frames at which a deviation by one tick counts as rounding."""
 
 
-def frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fraction, bool]:
+def frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction, declared: Fraction) -> tuple[Fraction, bool]:
     """Compute the frame rate in 1/s from the ascending times of at least 2 frames. Also return whether the times are
     evenly spaced.
 
-    The times ``pts`` are integers in units of ``base`` seconds, the container's time base, so they may be rounded. If
-    the times are uneven, as in phone videos, an interval with dropped frames counts as several intervals.
+    The times ``pts`` are integers in units of ``base`` seconds, the container's time base, so they may be rounded. The
+    rate ``declared`` in the header, or 0, is used if it is a standard rate and the times are its rounded times. If the
+    times are uneven, as in phone videos, an interval with dropped frames counts as several intervals.
 
     Raises:
         UserError: if several frames have the same time.
@@ -37,6 +38,10 @@ def frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Frac
         number = int(np.argmax(steps <= 0))
         raise no_times(path, f"frames {number} and {number + 1} at the same time")
     step = Fraction(int(pts[-1] - pts[0]), len(pts) - 1)
+    if declared in STANDARD_RATES and step >= MIN_TICKS:
+        rounded_times = np.arange(len(pts)) * float(1 / (declared * base))
+        if np.abs(pts - pts[0] - rounded_times).max() <= 1:
+            return declared, True
     jitter = np.abs(pts - pts[0] - np.arange(len(pts)) * float(step))
     if jitter.max() <= MAX_JITTER * float(step) or (jitter.max() <= 1 and step >= MIN_TICKS):
         exact = 1 / (step * base)
