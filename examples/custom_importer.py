@@ -24,7 +24,7 @@ import numpy as np
 import tyro
 
 from fourd.cameras import Camera
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.importing.detection import Format
 from fourd.importing.folders import picture_files
 from fourd.importing.imported import Imported, ImportedCamera
@@ -85,7 +85,7 @@ RIG = Format("rig", "rig.json and one folder of images per camera", looks_like, 
 def main(arguments: Arguments) -> None:
     """Import the source folder as a capture and print a summary."""
     import_source(RIG, arguments.source, arguments.out, ImportOptions(), log=print, warn=print, track=untracked)
-    print(f"wrote {arguments.out}; next: fourd check {arguments.out}")
+    print(f"wrote {arguments.out}; next: {command_line('fourd', 'check', arguments.out)}")
 
 
 if __name__ == "__main__":

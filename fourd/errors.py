@@ -1,6 +1,12 @@
-"""The exception for errors that the user can fix, and a function for quoting other errors in its message."""
+"""The exception for errors that the user can fix, and functions for quoting other errors and commands in its
+message."""
 
 from __future__ import annotations
+
+import shlex
+import subprocess
+import sys
+from pathlib import Path
 
 MAX_REASON = 200
 """Maximum number of characters that an error message quotes from the message of another program."""
@@ -16,3 +22,13 @@ class UserError(Exception):
 def one_line(error: Exception, max_length: int | None = None) -> str:
     """Return the message of an error on one line, cut after ``max_length`` characters."""
     return " ".join(str(error).split())[:max_length]
+
+
+def command_line(*words: object) -> str:
+    """Join the words of a command so that the user can copy the command to a shell.
+
+    Words with spaces and other special characters are quoted. A path that starts with a hyphen is written as ./-NAME,
+    so that it is not taken for an option.
+    """
+    texts = [f"./{word}" if isinstance(word, Path) and str(word).startswith("-") else str(word) for word in words]
+    return subprocess.list2cmdline(texts) if sys.platform == "win32" else shlex.join(texts)

@@ -15,6 +15,7 @@ from pathlib import Path
 import tyro
 
 from fourd.cli.main import main as fourd
+from fourd.errors import command_line
 
 TEST_VIEWS = "03,09"
 
@@ -56,8 +57,9 @@ def main() -> None:
         f"\nFinished in {time.monotonic() - started:.0f} s: {scene} ({megabytes:.0f} MB) and {video}."
         f"\nHeld-out cameras {TEST_VIEWS}: {scores['image']['psnr']:.2f} dB PSNR on the whole image, "
         f"{scores['box']['psnr']:.2f} dB in the foreground's box."
-        f"\nNext: open {video}; fourd view {scene}; fourd render {scene} --path spiral --out spiral.mp4; "
-        f"fourd make YOUR_CAPTURE -o scene.4dv"
+        f"\nNext: open {video}; {command_line('fourd', 'view', scene)}; "
+        f"{command_line('fourd', 'render', scene, '--path', 'spiral', '--out', 'spiral.mp4')}; "
+        "fourd make YOUR_CAPTURE -o scene.4dv"
     )
 
 

@@ -16,7 +16,7 @@ from fourd.capture import Capture, open_capture, read_calibration
 from fourd.capture.decoding import decode_alpha, decode_rgb
 from fourd.capture.layout import find_pictures
 from fourd.capture.reader import Footage, Mattes
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.matting.plates import FOLDER
 from fourd.progress import Log
 
@@ -123,7 +123,7 @@ def _files(capture: Capture, names: Sequence[str], folder: Path) -> dict[str, _F
         more = f" (and of {rest} more camera{'s' * (rest > 1)})" if rest else ""
         raise UserError(
             f"{folder / missing[0]}.png: expected the clean plate of camera '{missing[0]}'{more}, got no such file "
-            f"here or in {USER_FOLDER}; make clean plates: fourd matte {capture.path}"
+            f"here or in {USER_FOLDER}; make clean plates: {command_line('fourd', 'matte', capture.path)}"
         )
     return files
 
@@ -162,7 +162,7 @@ def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera]
     height, width = opaque.shape
     if (width, height) != (lens.width, lens.height):
         again = "export the plate again at the size of the frames"
-        fix = f"remove this plate and run: fourd matte {capture.path}" if file.made else again
+        fix = f"remove this plate and run: {command_line('fourd', 'matte', capture.path)}" if file.made else again
         raise UserError(
             f"{file.path}: expected {lens.width} x {lens.height} pixels like the frames of camera '{name}', "
             f"got {width} x {height}; {fix}"

@@ -32,7 +32,7 @@ from fourd.capture.layout import (
 )
 from fourd.capture.video import VideoReader
 from fourd.capture.video_list import Video, common_frames, common_rate, list_videos
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ class Capture:
         if mattes is None:
             raise UserError(
                 f"{self.path / 'masks' / self.names[camera]}: expected mattes (FRAME.png), got none; "
-                f"make them with: fourd matte {self.path}"
+                f"make them with: {command_line('fourd', 'matte', self.path)}"
             )
         return self._cache.get(
             ("matte", camera, frame), lambda: self._read(mattes.frames, camera, frame, mattes.is_generated)
@@ -322,7 +322,7 @@ def _open_mattes(path: Path, name: str, chosen: Sequence[str]) -> Mattes | None:
                 count = sum(stem in files for stem in chosen)
                 raise UserError(
                     f"{folder}: expected mattes of {len(chosen)} frames, got {count}; make the missing mattes with: "
-                    f"fourd matte {path}"
+                    f"{command_line('fourd', 'matte', path)}"
                 ) from error
             if error is not None:
                 raise error

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.importing.folders import CALIBRATION_FOLDER, find_frames
 from fourd.importing.imported import Imported
 
@@ -117,7 +117,7 @@ def find_layout(source: Path, formats: Sequence[CalibrationFormat]) -> Layout | 
     if layout is None and any(_recognise(path, formats) for path in inside):
         raise UserError(
             f"{source}: expected a calibration of the cameras in {frames}, got none that fits: {'; '.join(refused)}; "
-            f"correct it, or calibrate from the images with fourd import videos {source} OUT"
+            f"correct it, or calibrate from the images with {command_line('fourd', 'import', 'videos', source, 'OUT')}"
         )
     for above in _parents(folder) if layout is None else ():
         layout = _choose(list(_files_beside(above)), frames, formats, refused)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fourd.capture import Capture
 from fourd.capture.layout import MATTES, parse_frame_range, refuse_symlinks, sample_indices
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.formats.picture import write_picture
 from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, parse_screen
 from fourd.matting.mask_files import find_masks, read_mask
@@ -184,9 +184,10 @@ def chosen_method(capture: Path) -> str | None:
     if state.chosen is None or not any((capture / MATTES).glob("*/*")):
         return None
     if state.inputs != _input_hash(capture):
+        again = command_line("fourd", "matte", "--method", state.chosen)
         raise UserError(
             f"{capture / MATTES}: expected mattes of the capture's present files, got mattes of earlier files; make "
-            f"them again with fourd matte --method {state.chosen}, or add --method motion to replace them"
+            f"them again with {again}, or add --method motion to replace them"
         )
     return state.chosen
 

@@ -15,7 +15,7 @@ from fourd.capture.layout import refuse_symlinks
 from fourd.carving.bounds import hull_bounds
 from fourd.carving.mask_source import frame_masks
 from fourd.carving.sequence import settings_key
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.files import remove_unfinished, write_text_atomically
 from fourd.limits import read_json
 from fourd.mesh.files.animation import write_animation
@@ -61,7 +61,7 @@ def mesh_capture(capture: Capture, folder: Path, settings: MeshSettings, track: 
     if not capture.has_masks:
         raise UserError(
             f"{capture.path}: expected masks/CAM/FRAME.png or mattes, got none; "
-            f"make mattes with: fourd matte {capture.path}"
+            f"make mattes with: {command_line('fourd', 'matte', capture.path)}"
         )
     refuse_symlinks(capture.path, folder)
     paths = [folder / f"{number:06d}.{settings.format}" for number in capture.frame_numbers]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fourd.capture.calibration import INTRINSICS_NAME
 from fourd.capture.layout import VIDEOS, camera_folders
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.importing.importer import ImportOptions
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stages.import_ import import_stage
@@ -43,7 +43,8 @@ def stages_to_capture(source: Path, imported: Path, options: ImportOptions) -> t
     if options.calibration is not None:
         raise UserError(
             f"--calibration: expected videos without a calibration, got the capture {source}; leave out --calibration, "
-            f"or import the videos with: fourd import videos {source} CAPTURE --calibration {options.calibration}"
+            "or import the videos with: "
+            + command_line("fourd", "import", "videos", source, "CAPTURE", "--calibration", options.calibration)
         )
     return ()
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from fourd.capture.frame_rate import set_rate
 from fourd.capture.layout import DERIVED, MATTES
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.files import atomic_path, is_unused, remove_unfinished, remove_unfinished_file, require_suffix
 from fourd.importing.importer import ImportOptions
 from fourd.matting.sequence import MatteSettings, chosen_method, forget_choice
@@ -62,9 +62,8 @@ class MatteChoice:
             if not self.keep_chosen:
                 forget_choice(capture)
             return self.settings
-        context.log(
-            f"{capture / MATTES}: keeping the mattes of fourd matte --method {method}; add --method to make others"
-        )
+        made = command_line("fourd", "matte", "--method", method)
+        context.log(f"{capture / MATTES}: keeping the mattes of {made}; add --method to make others")
         return None
 
 

@@ -21,7 +21,7 @@ from fourd.background.plates import PlateView, read_plates
 from fourd.cameras import Camera
 from fourd.capture import Capture
 from fourd.configs import load_overlay
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.files import remove_unfinished
 from fourd.formats.ply import read_ply
 from fourd.model import PointModel
@@ -253,9 +253,10 @@ def load_run(folder: Path) -> TrainedRun:
     """Open a run and load its newest intact checkpoint, for evaluation, rendering or export."""
     run = open_run(folder)
     if run.has_segments:
+        export = command_line("fourd", "export", folder, "-o", "scene.4dv")
         raise UserError(
             f"{folder}: expected a run with one model, got a run with segments; name one segment, such as "
-            f"{folder / SEGMENTS / '000'}, or the scene of all segments: fourd export {folder} -o scene.4dv"
+            f"{folder / SEGMENTS / '000'}, or the scene of all segments: {export}"
         )
     return load_models(run)
 

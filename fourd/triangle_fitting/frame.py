@@ -15,7 +15,7 @@ from fourd.carving.bounds import Bounds, hull_bounds
 from fourd.carving.carve import carve_frame
 from fourd.carving.colour import colour_points
 from fourd.carving.hull import Silhouettes
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.mesh.texturing.texture import colour_mesh
 from fourd.mesh.views import MeshView, mesh_views
 from fourd.progress import Track, untracked
@@ -78,7 +78,8 @@ def fit_frame(views: RunViews, settings: TriangleSettings, track: Track = untrac
     if not views.capture.has_masks:
         path = views.capture.path
         raise UserError(
-            f"{path}: expected masks/CAM/FRAME.png or mattes, got none; make mattes with: fourd matte {path}"
+            f"{path}: expected masks/CAM/FRAME.png or mattes, got none; make mattes with: "
+            f"{command_line('fourd', 'matte', path)}"
         )
     fit = _FrameFit(views, settings)
     is_interrupted = False

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from fourd.baking import BakedFrame, SceneManifest, SceneReader, combine_frames
 from fourd.baking.meshes.source import is_mesh
 from fourd.baking.splats.reader import is_splats, open_reader
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.storage import Location, StorageUrl
 from fourd.training.run_layout import newest_checkpoint
 from fourd.viewer.playback.prefetch import BakedFrameSource
@@ -125,7 +125,8 @@ def _open_local(path: Path) -> BakedFrameSource:
     if is_mesh(path) and not is_splats(path):
         got = "meshes, which are not points"
         raise UserError(
-            f"{path}: expected a scene or a run, got {got}; draw them with fourd render {path} --path orbit"
+            f"{path}: expected a scene or a run, got {got}; draw them with "
+            f"{command_line('fourd', 'render', path, '--path', 'orbit')}"
         )
     is_run = path.is_dir() and not is_splats(path)
     return _open_run(path) if is_run else open_reader(path)

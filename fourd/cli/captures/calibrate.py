@@ -14,7 +14,7 @@ from fourd.board_calibration.printing import print_board
 from fourd.boards import read_board
 from fourd.cli.options import Frames, option, parse_offsets
 from fourd.cli.outputs import READS, WRITES_WHOLE_FOLDER, Writes
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.files import remove_unfinished_folder
 from fourd.processes import locked_folder
 from fourd.progress import Terminal, Tracker
@@ -102,7 +102,7 @@ def run(arguments: Arguments) -> None:
     with locked_folder(arguments.out):
         remove_unfinished_folder(arguments.out)
         calibrate_rig(arguments.videos, arguments.out, settings, log=log, warn=warn, track=Tracker(console).track)
-    text = f"next: fourd import VIDEOS CAPTURE --calibration {arguments.out}"
+    text = f"next: {command_line('fourd', 'import', 'VIDEOS', 'CAPTURE', '--calibration', arguments.out)}"
     Terminal().print(Text(f"{arguments.out}: written; {text}"), soft_wrap=True)
 
 

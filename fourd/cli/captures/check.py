@@ -16,7 +16,7 @@ from fourd.capture.check import Report, check_capture, first_lines
 from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.carving.matte_quality import MatteQuality, measure_mattes
 from fourd.cli.locations import CaptureLocation, transfer_progress
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.matting.contours import find_foreign_mattes
 from fourd.progress import Terminal, Tracker
 from fourd.storage import local_copy
@@ -88,7 +88,7 @@ def _check(capture: Path, arguments: Arguments) -> None:
     verdict = judge(agreement, warnings)
     console.print(
         Text(verdict.words, "green" if verdict.is_good else "yellow"),
-        f"next: fourd make {name} -o scene.4dv",
+        f"next: {command_line('fourd', 'make', arguments.capture, '-o', 'scene.4dv')}",
         sep="; ",
         soft_wrap=True,
     )

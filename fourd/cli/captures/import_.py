@@ -18,7 +18,7 @@ from fourd.calibration.scale import Distance
 from fourd.capture.frame_rate import check_rate
 from fourd.cli.options import FramesPerSecond, describe, option, parse_offsets
 from fourd.cli.outputs import READS, require_distinct
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.files import resolved
 from fourd.importing.detection import FORMATS, pick_format
 from fourd.importing.frame_geometry import CalibratedFrames
@@ -148,7 +148,9 @@ def run(arguments: Arguments) -> None:
     log(f"{picked.name}: {picked.summary}")
     with locked_folder(Path(out)):
         import_source(picked, Path(source), Path(out), options, log=log, warn=warn, track=Tracker(console).track)
-    Terminal().print(Text("Imported", "green"), f"next: fourd check {out}", sep="; ", soft_wrap=True)
+    Terminal().print(
+        Text("Imported", "green"), f"next: {command_line('fourd', 'check', Path(out))}", sep="; ", soft_wrap=True
+    )
 
 
 def _options(arguments: Arguments) -> ImportOptions:

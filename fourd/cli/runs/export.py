@@ -20,7 +20,7 @@ from fourd.baking.scene import BAKED_LAYERS
 from fourd.cli.locations import OutLocation, transfer_progress
 from fourd.cli.options import TIER_HELP, Frames, MaxMbps, check_mbps, check_rendering, describe, option
 from fourd.cli.outputs import READS
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.files import require_suffix
 from fourd.progress import Terminal, Tracker
 from fourd.storage import local_output, local_path
@@ -90,10 +90,8 @@ def run(arguments: Arguments) -> None:
     with local_output(arguments.out, transfer_progress()) as out:
         _bake(arguments, out, console)
         size = out.stat().st_size / 2**20
-    console.print(
-        f"{arguments.out}: {size:.1f} MB; next: fourd render {arguments.out} --path orbit --out orbit.mp4",
-        soft_wrap=True,
-    )
+    command = command_line("fourd", "render", arguments.out, "--path", "orbit", "--out", "orbit.mp4")
+    console.print(f"{arguments.out}: {size:.1f} MB; next: {command}", soft_wrap=True)
 
 
 def _bake(arguments: Arguments, out: Path, console: Console) -> None:

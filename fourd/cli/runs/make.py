@@ -16,7 +16,7 @@ from fourd.cli.locations import PATH_OR_URL, OutLocation
 from fourd.cli.options import FramesPerSecond, Workers, option, worker_count
 from fourd.cli.outputs import READS, WRITES
 from fourd.cli.training_options import TrainingOptions
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.files import resolved
 from fourd.importing.importer import ImportOptions
 from fourd.ops.gpu import choose_device
@@ -106,6 +106,5 @@ def run(arguments: Arguments) -> None:
             work=arguments.work,
             force=arguments.force,
         )
-    console.print(
-        f"{arguments.out}: written; next: fourd render {arguments.out} --path orbit --out orbit.mp4", soft_wrap=True
-    )
+    command = command_line("fourd", "render", arguments.out, "--path", "orbit", "--out", "orbit.mp4")
+    console.print(f"{arguments.out}: written; next: {command}", soft_wrap=True)

@@ -15,7 +15,7 @@ from fourd.cli.options import Workers, worker_count
 from fourd.cli.outputs import WRITES
 from fourd.cli.training_options import TrainingOptions
 from fourd.configs import to_yaml
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.ops.gpu import choose_device
 from fourd.pipeline.fetch import fetch_stage, fetched_path
 from fourd.pipeline.graph import RunRequest, stages_to_resume, stages_to_run
@@ -95,7 +95,7 @@ def _run_stages(arguments: Arguments, group: ProcessGroup) -> None:
         )
         stages = stages_to_run(request)
     Runner(context).run(stages)
-    console.print(f"{arguments.out}: trained; next: fourd eval {arguments.out}", soft_wrap=True)
+    console.print(f"{arguments.out}: trained; next: {command_line('fourd', 'eval', arguments.out)}", soft_wrap=True)
 
 
 def _resumed_config(options: TrainingOptions, config: TrainConfig) -> TrainConfig:

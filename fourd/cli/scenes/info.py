@@ -19,7 +19,7 @@ from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES
 from fourd.cli.locations import PATH_OR_URL, scene_or_copy
 from fourd.cli.outputs import READS
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.limits import MAX_CONFIG_BYTES, open_regular, read_limited, require_regular
 from fourd.processes.isolation import ParserProcess
 from fourd.progress import Terminal
@@ -34,6 +34,7 @@ Rows = list[tuple[str, str]]
 _NAMES_SHOWN = 24
 _MOST_HEADER = 100 << 20
 _MOST_VALUE = 1e300
+CAPTURE_TITLE = "a multi-view capture"
 _MOST_TEXT = 1000
 """Maximum number of characters of a text from a file that are shown."""
 
@@ -61,7 +62,11 @@ def run(arguments: Arguments) -> None:
         # A file in an object store such as S3 is read from a local copy. Show the file's URL, because the user does not
         # know the path of the copy.
         table.add_row(name, Text(value.replace(str(path), location)))
-    Terminal().print(table)
+    console = Terminal()
+    console.print(table)
+    if title == CAPTURE_TITLE:
+        # Not in the table, whose lines are broken at the width of the terminal.
+        console.print(f"next: {command_line('fourd', 'check', arguments.path)}", soft_wrap=True)
 
 
 def _describe(path: Location) -> tuple[str, Rows]:
@@ -95,7 +100,7 @@ def _describe_folder(path: Path) -> tuple[str, Rows]:
         return "a training run", _run(path)
     signs = ("images", "videos", "intri.yml", "extri.yml")
     if any((path / sign).exists() for sign in signs):
-        return "a multi-view capture", _capture(path)
+        return CAPTURE_TITLE, _capture(path)
     videos = [file for file in sorted(path.iterdir()) if file.suffix.lower() in VIDEO_SUFFIXES]
     if videos:
         return "a folder of videos", [(file.name, "; ".join(value for _, value in _video(file))) for file in videos]
@@ -333,7 +338,6 @@ def _capture(path: Path) -> Rows:
     rows.append(("videos", _names(videos) or "none"))
     has_plates = (path / "bgs").is_dir() or (path / ".fourd" / "plates").is_dir()
     rows.append(("background plates", "yes" if has_plates else "none"))
-    rows.append(("next", f"fourd check {path}"))
     return rows
 
 

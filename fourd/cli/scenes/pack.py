@@ -9,6 +9,7 @@ from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.report import PackSettings, pack_and_report
 from fourd.cli.locations import OutLocation, SceneLocation, transfer_progress
 from fourd.cli.options import TIER_HELP, MaxMbps, check_mbps, describe
+from fourd.errors import command_line
 from fourd.files import require_suffix
 from fourd.progress import Terminal
 from fourd.storage import local_copy, local_output
@@ -37,5 +38,5 @@ def run(arguments: Arguments) -> None:
         with local_copy(arguments.scene, track) as scene:
             pack_and_report(scene, out, settings, console)
         size = out.stat().st_size / 1e6
-    line = f"{arguments.out}: {size:.1f} MB; next: fourd view {arguments.out}"
+    line = f"{arguments.out}: {size:.1f} MB; next: {command_line('fourd', 'view', arguments.out)}"
     console.print(line, soft_wrap=True, markup=False)

@@ -13,7 +13,7 @@ from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.rate import Choice, choose_tier
 from fourd.cli.options import TIER_HELP, MaxMbps, PageStyles, ScenePath, check_mbps, describe, option
 from fourd.cli.outputs import WRITES_WHOLE_FOLDER
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.files import remove_unfinished_folder
 from fourd.processes import locked_folder
 from fourd.progress import Terminal, Track, Tracker
@@ -65,7 +65,7 @@ def run(arguments: Arguments) -> None:
             has_normals=arguments.normals,
         )
     size = sum(path.stat().st_size for path in arguments.out.rglob("*") if path.is_file()) / 1e6
-    line = f"{arguments.out}: {size:.1f} MB; next: fourd serve {arguments.out}"
+    line = f"{arguments.out}: {size:.1f} MB; next: {command_line('fourd', 'serve', arguments.out)}"
     console.print(line, soft_wrap=True, markup=False)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from fourd.capture import Capture, open_capture
 from fourd.carving import carve_capture
 from fourd.carving.matte_quality import measure_mattes
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.plates import MATTE_PATTERNS
@@ -101,7 +101,7 @@ def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context)
         if not capture.has_masks:
             raise UserError(
                 f"{capture.path}: expected masks/CAM/FRAME.png or mattes, got none; "
-                f"make mattes with: fourd matte {capture.path}"
+                f"make mattes with: {command_line('fourd', 'matte', capture.path)}"
             )
         if not settings.accept_mattes:
             _require_hull(capture, settings, context)
