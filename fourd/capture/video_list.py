@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import floor
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from fourd.capture.frame_rate import format_rate
@@ -109,7 +110,8 @@ def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, 
         names: names of the cameras, or None for all cameras.
 
     Raises:
-        UserError: if two videos have the same name, videos.json is damaged, or a video cannot be used.
+        UserError: if two videos have the same name, videos.json is damaged, a video cannot be used, or a video that
+            videos.json does not list has non-square pixels.
     """
     files = find_videos(capture / VIDEOS)
     path, cache = capture / NAME, capture / CACHE
@@ -121,12 +123,24 @@ def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, 
             entry = listed.get(name)
             if entry is None:
                 videos[name] = load_video(cache, files[name], cached.get(name), parser)
+                _require_square(capture, videos[name])
             elif is_outdated(entry):
                 current = load_video(cache, files[name], cached.get(name), parser)
                 videos[name] = replace(_update(path, entry, current), fps=fps)
             else:
                 videos[name] = replace(load_video(path, files[name], entry, parser), fps=fps)
     return videos
+
+
+def _require_square(capture: Path, video: Video) -> None:
+    """Raise UserError if the pixels of a video are not square, because its calibration can belong to the stored frames
+    or to the stretched ones. The import decides this."""
+    if video.index.aspect != 1:
+        raise UserError(
+            f"{video.path}: expected square pixels, or a capture that fourd import has written, got pixels of the "
+            f"aspect ratio {video.index.aspect.numerator}:{video.index.aspect.denominator}; stretch the frames and the "
+            f"calibration with: fourd import {quote(str(capture))} OUT"
+        )
 
 
 def is_outdated(entry: Entry) -> bool:
@@ -168,7 +182,8 @@ def write_entries(path: Path, entries: Mapping[str, Entry], fps: Fraction | None
     rate is written.
     """
     content = {"version": VERSION, **({} if fps is None else {"fps": str(fps)}), "cameras": entries}
-    write_text_atomically(path, json.dumps(content, indent=1) + "\n")
+    # Lists with a number for each frame of a long video would be several times larger with line breaks.
+    write_text_atomically(path, json.dumps(content, separators=(",", ":")) + "\n")
 
 
 def align_offsets(offsets: Mapping[str, float]) -> dict[str, float]:

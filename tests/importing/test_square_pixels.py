@@ -12,6 +12,7 @@ import pytest
 
 from fourd.cameras import Camera
 from fourd.capture import open_capture, write_calibration
+from fourd.errors import UserError
 from tests.capture.phone_videos import moving_picture, write_display_matrix
 from tests.capture.streams.coded_videos import write
 from tests.captures import ring_cameras
@@ -97,3 +98,12 @@ def test_stretched_frames_are_turned_and_scaled(reduce: float, tmp_path: Path) -
     for ours, theirs in zip(intrinsics(tmp_path / "out"), shown_cameras(), strict=True):
         assert ours[0, 0] == pytest.approx(reduce * theirs.intrinsics[1, 1])
         assert ours[1, 1] == pytest.approx(reduce * theirs.intrinsics[0, 0])
+
+
+def test_captures_with_such_videos_must_be_imported(tmp_path: Path) -> None:
+    """Catches a calibration of stored pixels in a capture that is opened without an import."""
+    source = write_source(tmp_path / "a source", [squeezed(camera) for camera in shown_cameras()])
+    with pytest.raises(
+        UserError, match=r"a.mp4: expected square pixels.* got .* 4:3; .*: fourd import '.*/a source' OUT"
+    ):
+        open_capture(source)
