@@ -145,7 +145,9 @@ class VideoReader:
         if index.is_interlaced:
             # Deinterlacing needs the frame before and the frame after.
             numbers = [each for each in (number - 1, number, number + 1) if 0 <= each < index.frames]
-            whole = deinterlace([self._frames.frame(each) for each in numbers], numbers.index(number))
+            frames = [self._frames.frame(each) for each in numbers]
+            at = numbers.index(number)
+            whole = deinterlace(frames, at) if frames[at].interlaced_frame else frames[at]
         else:
             whole = self._frames.frame(number)
         return to_rgb(whole, index.turn, index.transfer, index.unturned_size)

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
+from typing import cast
 
 import av
 from av.container import InputContainer
@@ -26,14 +27,23 @@ NO_BYTE_SEEK = 0x8000
 """FFmpeg's flag of containers in which it cannot seek to a position in bytes (AVFMT_NO_BYTE_SEEK)."""
 BYTE_SEEK_FORMATS = ("mpegts", "mpeg")
 """Containers in which seeking to a time is not exact, but seeking to a position in bytes is."""
+ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}
+"""Decoders of codecs whose alpha channel FFmpeg's own decoder leaves out."""
 
 
 @dataclass(frozen=True)
 class Decoded:
-    """A decoded frame and its label."""
+    """A decoded frame.
+
+    Attributes:
+        label: label of the frame.
+        frame: the frame.
+        is_key: whether the frame refers to no others, and no later frame refers to frames before it.
+    """
 
     label: int
     frame: av.VideoFrame
+    is_key: bool
 
 
 @dataclass(frozen=True)
@@ -69,12 +79,13 @@ class Decoder:
         self._path, self._stream_index, self._threads = path, stream, threads
         self._by_packets, self._is_strict = by_packets, is_strict
         self._container: InputContainer | None = None
+        self._context: VideoCodecContext | None = None
 
     def close(self) -> None:
         """Close the file."""
         if self._container is not None:
             self._container.close()
-            self._container = None
+            self._container = self._context = None
 
     def from_start(self) -> Iterator[Decoded]:
         """Decode the video from its first packet. The file is opened again, so that nothing depends on earlier reads.
@@ -94,9 +105,10 @@ class Decoder:
         """
         stream = self._open()
         assert self._container is not None
+        assert self._context is not None
+        self._context.flush_buffers()
         if not self._by_packets:
             self._container.seek(entry.time, stream=stream)
-            stream.codec_context.flush_buffers()
             return self._decode(stream, self._packets(stream))
         if self._container.format.name in BYTE_SEEK_FORMATS:
             self._container.seek(entry.position, stream=stream, unsupported_byte_offset=True)
@@ -114,11 +126,12 @@ class Decoder:
         if self._container is None:
             self._container = open_container(self._path)
         stream = stream_at(self._path, self._container, self._stream_index)
-        if not stream.codec_context.is_open:
-            stream.thread_type = "AUTO"
-            stream.codec_context.thread_count = self._threads
+        if self._context is None:
+            self._context = alpha_context(stream) or stream.codec_context
+            self._context.thread_type = "AUTO"
+            self._context.thread_count = self._threads
             if self._is_strict:
-                stream.codec_context.options = {"err_detect": "explode"}
+                self._context.options = {"err_detect": "explode"}
         return stream
 
     def _packets(self, stream: VideoStream) -> Iterator[Packet]:
@@ -127,11 +140,16 @@ class Decoder:
         return (packet for packet in self._container.demux(stream) if packet.size)
 
     def _decode(self, stream: VideoStream, packets: Iterator[Packet], label: int = 0) -> Iterator[Decoded]:
-        context: VideoCodecContext = stream.codec_context
+        context = self._context
+        assert context is not None
+        # The decoders of ALPHA_DECODERS do not mark keyframes.
+        keys: set[int] | None = None if context is stream.codec_context else set()
         has_frames = False
         for number, packet in enumerate(chain(packets, [None]), label):
             if packet is not None and self._by_packets:
                 packet.pts = number
+            if packet is not None and packet.is_keyframe and packet.pts is not None and keys is not None:
+                keys.add(packet.pts)
             try:
                 frames = context.decode(packet)
             except av.EOFError:
@@ -142,8 +160,16 @@ class Decoder:
                     raise
                 continue
             has_frames |= bool(frames)
-            yield from _labelled(frames)
+            for frame in frames:
+                if frame.pts is not None:
+                    yield Decoded(frame.pts, frame, frame.key_frame if keys is None else frame.pts in keys)
 
 
-def _labelled(frames: list[av.VideoFrame]) -> Iterator[Decoded]:
-    return (Decoded(frame.pts, frame) for frame in frames if frame.pts is not None)
+def alpha_context(stream: VideoStream) -> VideoCodecContext | None:
+    """Return a decoder that also decodes the alpha channel of a WebM video, or None if FFmpeg's own decoder does so or
+    there is no alpha channel."""
+    tags = {name.lower(): value for name, value in stream.metadata.items()}
+    name = ALPHA_DECODERS.get(stream.codec_context.codec.canonical_name)
+    if name is None or tags.get("alpha_mode") != "1":
+        return None
+    return cast(VideoCodecContext, av.CodecContext.create(name, "r"))

@@ -125,7 +125,7 @@ class FrameReader:
                 number = self._index.number(each.label)
                 if number is None or number < keyframe:
                     continue
-                if number == keyframe and each.frame.key_frame and not each.frame.is_corrupt:
+                if number == keyframe and each.is_key and not each.frame.is_corrupt:
                     assert decoded is not None
                     self._decoded = decoded
                     self._keep(number, each.frame)

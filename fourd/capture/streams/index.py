@@ -9,6 +9,9 @@ from functools import cached_property
 from math import floor
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fourd.capture.streams.picture import HLG, PQ, reduced_size
 from fourd.limits import printable, read_fraction
 
@@ -132,7 +135,7 @@ class VideoIndex:
         Labels are times in ticks, or positions of packets (see the class).
         """
         if self.by_packets:
-            return self._numbers_of_packets.get(label) if self.order else _in_range(label, self.frames)
+            return self._number_of_packet(label) if self.order else _in_range(label, self.frames)
         ticks = label - round(self.start / self.tick)
         if self.times:
             number = bisect_left(self.times, ticks)
@@ -145,9 +148,17 @@ class VideoIndex:
         """Return the position of the packet of a frame among all packets; only with ``by_packets``."""
         return frame + (self.order[frame] if self.order else 0)
 
+    def _number_of_packet(self, label: int) -> int | None:
+        labels, numbers = self._sorted_labels
+        at = int(np.searchsorted(labels, label))
+        return int(numbers[at]) if at < len(labels) and labels[at] == label else None
+
     @cached_property
-    def _numbers_of_packets(self) -> dict[int, int]:
-        return {frame + late: frame for frame, late in enumerate(self.order)}
+    def _sorted_labels(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The labels in ascending order, and the numbers of their frames."""
+        labels = np.array(self.order, np.int64) + np.arange(self.frames)
+        numbers = np.argsort(labels)
+        return labels[numbers], numbers
 
 
 def _in_range(number: int, count: int) -> int | None:

@@ -35,7 +35,7 @@ MAX_EMPTY_BYTES = 64
 MAX_LEADING = 16
 """Number of packets after the first keyframe that may contain frames that are shown before it and cannot be decoded."""
 STRICT_CODECS = ("hevc", "mjpeg")
-"""Codecs whose decoders guess damaged data without a word, unless they are told to report it."""
+"""Codecs whose decoders guess damaged data silently, unless an option lets them report it."""
 STRICT_FRAMES = 8
 UNCHECKED_CODECS = ("hevc",)
 """Codecs of which damage is also inferred from packets that MPEG-TS marks as damaged. Decoders of the other codecs find
@@ -162,12 +162,12 @@ def index_by_decoding(path: Path, packets: Packets) -> VideoIndex:
     """
     is_strict = _can_be_strict(path, packets)
     decoder = Decoder(path, packets.stream, PROBE_THREADS, by_packets=True, is_strict=is_strict)
-    labels, keys, counter, look = array("q"), bytearray(), CombCounter(), None
+    labels, keys, counter, look, has_fields = array("q"), bytearray(), CombCounter(), None, False
     stride = max(len(packets) // SAMPLES, 2)
     try:
         for each in decoder.from_start():
             frame = each.frame
-            is_key = frame.key_frame or (packets.codec not in FRAME_CODECS and bool(packets.keys[each.label]))
+            is_key = each.is_key or (packets.codec not in FRAME_CODECS and bool(packets.keys[each.label]))
             if not labels and (frame.is_corrupt or not is_key):
                 continue
             if frame.is_corrupt or (packets.codec in UNCHECKED_CODECS and packets.damaged[each.label]):
@@ -178,15 +178,16 @@ def index_by_decoding(path: Path, packets: Packets) -> VideoIndex:
                 if len(labels) % stride == 0:
                     counter.restart()
                 counter.add(frame)
+            has_fields |= bool(frame.interlaced_frame)
             labels.append(each.label)
-            keys.append(frame.key_frame)
+            keys.append(each.is_key)
     except av.FFmpegError as error:
         raise _broken(path, len(labels)) from error
     finally:
         decoder.close()
     if look is None:
         raise _no_frame(path)
-    if not counter.marked:
+    if not has_fields:
         _require_all_frames(path, packets, labels)
     index = _make_index(path, packets, _shown_times(path, packets, labels), (), look)
     index = _with_usable_entries(path, _with_entries(replace(index, is_strict=is_strict), packets, labels, keys))

@@ -140,8 +140,17 @@ def test_impossible_pixels_are_refused(tmp_path: Path, parser: ParserProcess) ->
         index_video(path, parser)
 
 
-@pytest.mark.parametrize(("codec", "pixels"), [("prores", "yuva444p10le"), ("qtrle", "argb"), ("png", "rgba")])
-def test_hidden_colours_are_not_used(codec: str, pixels: str, tmp_path: Path, parser: ParserProcess) -> None:
+ALPHA = [
+    ("a.mov", "prores", "yuva444p10le"),
+    ("a.mov", "qtrle", "argb"),
+    ("a.mov", "png", "rgba"),
+    ("a.webm", "vp9", "yuva420p"),
+    ("a.webm", "libvpx", "yuva420p"),
+]
+
+
+@pytest.mark.parametrize(("name", "codec", "pixels"), ALPHA)
+def test_hidden_colours_are_not_used(name: str, codec: str, pixels: str, tmp_path: Path, parser: ParserProcess) -> None:
     """Catches the colours of transparent pixels, which nobody has seen, in the frames of a video."""
 
     def make(number: int) -> av.VideoFrame:
@@ -149,13 +158,18 @@ def test_hidden_colours_are_not_used(codec: str, pixels: str, tmp_path: Path, pa
         rgba[:16, :, 3] = 0
         return av.VideoFrame.from_ndarray(np.ascontiguousarray(rgba), format="rgba").reformat(format=pixels)
 
-    path = write(tmp_path / "a.mov", codec, NUMBERS, pix_fmt=pixels, make=make)
+    def prepare(stream: Any) -> None:
+        if name == "a.webm":
+            stream.options = {"auto-alt-ref": "0", "crf": "5", "b": "2000000", "g": "4"}
+
+    path = write(tmp_path / name, codec, NUMBERS, pix_fmt=pixels, make=make, prepare=prepare)
     index = index_video(path, parser)
     assert index.notes == ("frames have an alpha channel: transparent parts are black",)
     with VideoReader(path, index) as reader:
-        picture = reader.read(5).astype(int)
-    assert np.abs(picture[:15]).max() <= 3
-    assert np.abs(picture[18:] - numbered_picture(5)[18:]).mean() < 6
+        for frame in (5, 11, 2, 3):
+            picture = reader.read(frame).astype(int)
+            assert np.abs(picture[:15]).max() <= 3
+            assert np.abs(picture[18:] - numbered_picture(frame)[18:]).mean() < 6
 
 
 SIDE = 128
