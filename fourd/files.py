@@ -1,13 +1,16 @@
-"""Atomic writing of files: at any time, a file has either its old content or its complete new content."""
+"""Atomic writing of files, and the order of file names.
+
+At any time, a file that is written atomically has either its old content or its complete new content."""
 
 from __future__ import annotations
 
 import glob
 import os
+import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePath
 
@@ -19,6 +22,26 @@ if sys.platform != "win32":
 
 UNFINISHED = ".unfinished-"
 """Prefix of the names of temporary files."""
+
+
+def natural_key(name: str) -> tuple[tuple[str | int, ...], str]:
+    """Sort key of file names that compares the numbers in names by value, so that frame_2 comes before frame_10."""
+    parts = re.split(r"(\d+)", name)
+    return tuple(int(part) if index % 2 else part for index, part in enumerate(parts)), name
+
+
+def sort_names(names: Iterable[str]) -> list[str]:
+    """Sort file names by :func:`natural_key`. All lists of files with one file per frame or camera have this order."""
+    return sorted(names, key=natural_key)
+
+
+def list_folder(folder: Path | str) -> list[str]:
+    """Return the names in a folder in the order of :func:`sort_names`, without hidden files.
+
+    Raises:
+        OSError: if the folder cannot be read.
+    """
+    return sort_names(name for name in os.listdir(folder) if not name.startswith("."))
 
 
 @contextmanager

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera
 from fourd.capture import Capture, open_capture, read_calibration
-from fourd.capture.decoding import decode_alpha, decode_rgb
+from fourd.capture.camera_frames import Footage, Mattes
+from fourd.capture.decoding import decode_alpha, decode_picture
 from fourd.capture.layout import find_pictures
-from fourd.capture.reader import Footage, Mattes
 from fourd.errors import UserError, command_line
 from fourd.matting.plates import FOLDER
 from fourd.progress import Log
@@ -158,7 +158,8 @@ class _Still:
 
 def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera], file: _File) -> PlateView:
     lens = lenses[name]
-    rgb, opaque = decode_rgb(file.path), decode_alpha(file.path)
+    # Colours in the holes of a plate are used: they are estimates.
+    rgb, opaque = decode_picture(file.path)[..., :3], decode_alpha(file.path)
     height, width = opaque.shape
     if (width, height) != (lens.width, lens.height):
         again = "export the plate again at the size of the frames"

@@ -30,7 +30,8 @@ from fourd.errors import UserError
 from fourd.files import atomic_folder
 from fourd.importing.folders import check_names, find_frames
 from fourd.importing.given_calibration import REPORT
-from fourd.importing.imported import ImportedCamera, PictureFiles, video_files
+from fourd.importing.imported import Imported, ImportedCamera, PictureFiles, video_files
+from fourd.importing.pictures.moments import align_pictures
 from fourd.importing.sample_frames import SynchronizedFrames
 from fourd.progress import Log, Track
 
@@ -88,7 +89,11 @@ def calibrate_rig(source: Path, out: Path, settings: CalibrationSettings, *, log
     check_out(out)
     if not source.is_dir():
         raise UserError(f"{source}: expected a folder with videos of the board, got no folder; check the path")
-    cameras = tuple(ImportedCamera(name, None, frames) for name, frames in find_frames(source).items())
+    found = tuple(ImportedCamera(name, None, frames) for name, frames in find_frames(source).items())
+    aligned, missing = align_pictures(Imported(found, ()), "auto")
+    for line in missing:
+        warn(line)
+    cameras = aligned.cameras
     check_names([camera.name for camera in cameras])
     files = video_files(cameras)
     indices = {name: index_video(files[name]) for name in track(list(files), len(files), "videos")} if files else {}

@@ -64,3 +64,32 @@ class VideoFrames:
 
     def close(self) -> None:
         self.reader.close()
+
+
+@dataclass(frozen=True)
+class Mattes:
+    """One camera's mattes for the selected frames.
+
+    Attributes:
+        frames: the matte files, one per frame.
+        is_generated: whether fourd generated the mattes. Generated mattes match the undistorted images, so the reader
+            does not undistort them.
+    """
+
+    frames: CameraFrames
+    is_generated: bool
+
+
+@dataclass(frozen=True)
+class Footage:
+    """The selected frames of one camera.
+
+    Attributes:
+        images: the camera's images.
+        mattes: the camera's mattes, or None if the camera has no mattes.
+        size: (width, height) of the stored images in pixels.
+    """
+
+    images: CameraFrames
+    mattes: Mattes | None
+    size: tuple[int, int]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
@@ -16,21 +16,26 @@ from fourd.cameras import Camera, describe_equal_positions
 from fourd.capture.calibration import Calibration, check_calibration
 from fourd.capture.checks.damage import Skipped, decode_pictures
 from fourd.capture.checks.mattes import MatteTally
-from fourd.capture.decoding import decode_matte, decode_rgb, picture_size
+from fourd.capture.checks.pictures import OrientationCheck, describe_gaps
+from fourd.capture.decoding import decode_matte, decode_picture, read_header
 from fourd.capture.focus import find_focus
 from fourd.capture.frame_rate import read_rate
 from fourd.capture.layout import (
     MATTES,
     VIDEOS,
     camera_folders,
-    find_pictures,
     find_videos,
     frame_name,
     missing_frame_error,
+    no_pictures_error,
     sort_frames,
 )
+from fourd.capture.pictures.alpha import ALPHA_NOTE, alpha_is_matte
+from fourd.capture.pictures.listing import list_images, list_masks
+from fourd.capture.pictures.masks import MaskFolder
 from fourd.capture.video_list import Video, common_frames, common_rate, list_videos
 from fourd.errors import UserError
+from fourd.files import sort_names
 from fourd.progress import Track, untracked
 
 Value = TypeVar("Value")
@@ -119,6 +124,9 @@ class _Check:
         self.warnings: list[str] = []
         self.sizes: dict[str, tuple[int, int]] = {}
         self.mattes = MatteTally()
+        self.masks = MaskFolder(path / "masks")
+        self.is_alpha = False
+        self.orientations = OrientationCheck()
         self.nbytes = 0
         self.fps: Fraction | None = None
 
@@ -130,18 +138,21 @@ class _Check:
         images_folder, masks_folder = self.path / "images", self._masks_folder()
         has_videos = not camera_folders(images_folder) and (self.path / VIDEOS).is_dir()
         names = self._camera_names(calibration.names, has_videos)
-        images: dict[str, dict[str, str] | None] = {}
+        images: Mapping[str, dict[str, str] | None] = {}
         if has_videos:
             frames = self._video_frames(names, calibrations)
         else:
-            images = {name: self._try(find_pictures, images_folder / name) for name in names}
+            images = self._try(list_images, images_folder, names) or dict.fromkeys(names)
             self.fps = self._try(read_rate, self.path)
             frames = sort_frames(set().union(*(found for found in images.values() if found)))
-        masks = {name: self._try(find_pictures, masks_folder / name) for name in names}
-        has_masks = any(masks.values())
+            self.warnings += describe_gaps(images_folder, frames)
+        self.is_alpha = bool(self._try(alpha_is_matte, self.path))
+        masked = [] if self.is_alpha else names
+        masks = {name: self._try(list_masks, masks_folder / name, frames) for name in masked}
+        has_masks = self.is_alpha or any(masks.values())
         for name, found in images.items():
             self._check_folder(images_folder / name, found, frames)
-        for name, found in masks.items() if has_masks else ():
+        for name, found in masks.items() if any(masks.values()) else ():
             self._check_folder(masks_folder / name, found, frames)
         files = [images_folder / name / file for name, found in images.items() for file in (found or {}).values()]
         files += [masks_folder / name / file for name, found in masks.items() for file in (found or {}).values()]
@@ -150,10 +161,11 @@ class _Check:
             for file in self.track(files, len(files), "files")
             if self._check_header(file, calibrations.get(file.parent.name))
         ]
-        skipped = self._decode(sized, _sample_mattes(masks_folder, masks))
+        sampled = _sample_files(images_folder, images) if self.is_alpha else _sample_files(masks_folder, masks)
+        skipped = self._decode(sized, sampled)
         cameras = {name: self._to_camera(name, calibrations[name]) for name in names if name in calibrations}
         radius = self._check_poses({name: camera for name, camera in cameras.items() if camera is not None})
-        self.warnings += self.mattes.warnings()
+        self.warnings += [*self.mattes.warnings(), *self._mask_notes(masks_folder)]
         if self.mattes.is_empty and self.decode_seconds and not skipped:
             self.problems.append(
                 f"{masks_folder}: expected mattes with the object in white, got only black ones; export the mattes "
@@ -179,7 +191,8 @@ class _Check:
         try:
             return function(*arguments)
         except UserError as error:
-            self.problems.append(str(error))
+            if str(error) not in self.problems:
+                self.problems.append(str(error))
             return None
 
     def _masks_folder(self) -> Path:
@@ -191,7 +204,7 @@ class _Check:
         folder = VIDEOS if has_videos else "images"
         found = camera_folders(self.path / folder)
         if has_videos:
-            found = sorted(self._try(find_videos, self.path / folder) or {})
+            found = list(self._try(find_videos, self.path / folder) or {})
         if not found:
             self.problems.append(
                 f"{self.path / folder}: expected {'a video' if has_videos else 'a folder of images'} for each camera, "
@@ -237,12 +250,12 @@ class _Check:
         if found is None:
             return
         if not found:
-            self.problems.append(f"{folder}: expected images (FRAME.jpg or FRAME.png), got none; restore them")
+            self.problems.append(str(no_pictures_error(folder)))
             return
         error = missing_frame_error(folder, found, frames)
         if error is not None:
             self.problems.append(str(error))
-        surplus = sorted(set(found) - set(frames))
+        surplus = sort_frames(set(found) - set(frames))
         if surplus:
             self.warnings.append(
                 f"{folder / found[surplus[0]]}: a matte without an image is not used ({len(surplus)} such files)"
@@ -250,11 +263,13 @@ class _Check:
 
     def _check_header(self, file: Path, calibration: Calibration | None) -> bool:
         """Check the header of an image or matte. Returns whether it can be read."""
-        size = self._try(picture_size, file)
-        if size is None:
+        header = self._try(read_header, file)
+        if header is None:
             return False
         self.nbytes += file.stat().st_size
-        self._check_size(file, file.parent.name, calibration, size, self._is_matte(file))
+        if not self._is_matte(file):
+            self._try(self.orientations.check, file, header, calibration)
+        self._check_size(file, file.parent.name, calibration, header.size, self._is_matte(file))
         return True
 
     def _is_matte(self, file: Path) -> bool:
@@ -272,13 +287,20 @@ class _Check:
 
     def _decode_file(self, file: Path) -> None:
         if not self._is_matte(file):
-            self._try(decode_rgb, file)
+            rgba = self._try(decode_picture, file)
+            if rgba is not None and self.is_alpha:
+                self.mattes.add(file, rgba[..., 3] if rgba.shape[2] == 4 else np.full(rgba.shape[:2], 255, np.uint8))
             return
-        matte = self._try(decode_matte, file)
+        is_generated = file.is_relative_to(self.path / MATTES)
+        matte = self._try(decode_matte if is_generated else self.masks.decode, file)
         if matte is not None:
             self.mattes.add(file, matte)
-            if 0 < matte.max() <= 1:
-                self.problems.append(f"{file}: expected matte values from 0 to 255, got 0 to 1; multiply them by 255")
+
+    def _mask_notes(self, masks_folder: Path) -> list[str]:
+        """Tell what the values of the user's masks mean, if they are not ordinary masks."""
+        if self.is_alpha:
+            return [f"{self.path / 'images'}: {ALPHA_NOTE}"]
+        return self._try(self.masks.notes) or [] if masks_folder == self.masks.folder else []
 
     def _check_size(
         self, file: Path, name: str, calibration: Calibration | None, size: tuple[int, int], is_matte: bool
@@ -323,11 +345,11 @@ class _Check:
         return float(np.mean([np.linalg.norm(focus - camera.centre) for camera in cameras.values()]))
 
 
-def _sample_mattes(folder: Path, masks: dict[str, dict[str, str] | None]) -> set[Path]:
-    """Choose a few evenly spaced mattes of each camera."""
+def _sample_files(folder: Path, masks: Mapping[str, dict[str, str] | None]) -> set[Path]:
+    """Choose a few evenly spaced files of each camera."""
     sampled = set()
     for name, found in masks.items():
-        files = sorted((found or {}).values())
+        files = sort_names((found or {}).values())
         indices = np.linspace(0, len(files) - 1, min(SAMPLED_MATTES, len(files))).astype(int)
         sampled |= {folder / name / files[index] for index in indices}
     return sampled

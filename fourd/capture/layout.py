@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
-from collections.abc import Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
+from decimal import Decimal
 from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
 
 from fourd.errors import UserError
-from fourd.files import resolved
+from fourd.files import list_folder, resolved, sort_names
 
-PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png")
+COMMON_SUFFIXES = (".jpg", ".jpeg", ".png")
+PICTURE_SUFFIXES = (*COMMON_SUFFIXES, ".bmp", ".tif", ".tiff", ".webp")
+"""Suffixes of image files. If a folder has two files for a frame, and only one of them is a JPEG or PNG file, that file
+is used: the other one is often the same image as the camera stored it."""
+DECIMAL = re.compile(r"[0-9]+\.[0-9]+|[0-9]+")
 VIDEO_SUFFIXES = (
     *(".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v"),
     *(".mts", ".m2ts", ".m2t", ".ts", ".mpg", ".mpeg"),
@@ -30,44 +36,56 @@ MATTES = DERIVED / "mattes"
 
 
 def camera_folders(folder: Path) -> list[str]:
-    """Return the sorted names of the camera folders in ``folder``; an empty list if ``folder`` does not exist."""
+    """Return the names of the camera folders in ``folder`` in natural order (cam2 before cam10); an empty list if
+    ``folder`` does not exist."""
     if not folder.is_dir():
         return []
-    return sorted(entry.name for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith("."))
+    return sort_names(entry.name for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith("."))
 
 
 def find_pictures(folder: Path) -> dict[str, str]:
-    """Return the file names of a camera's images in ``folder``, keyed by frame name, which is the file name without
-    suffix.
+    """Return the file names of a camera's images in ``folder`` in natural order, keyed by the file name without suffix.
+
+    A mask called FRAME.jpg.png, as COLMAP expects it, has the key FRAME.
 
     Raises:
         UserError: if two files belong to the same frame.
     """
     found: dict[str, str] = {}
-    for entry in sorted(os.listdir(folder)) if folder.is_dir() else []:
+    for entry in list_folder(folder) if folder.is_dir() else []:
         stem, suffix = os.path.splitext(entry)
-        if suffix.lower() not in PICTURE_SUFFIXES or entry.startswith("."):
+        if suffix.lower() not in PICTURE_SUFFIXES:
             continue
-        if stem in found:
+        inner, inner_suffix = os.path.splitext(stem)
+        stem = inner if inner_suffix.lower() in PICTURE_SUFFIXES else stem
+        common = [name for name in (found.get(stem, entry), entry) if Path(name).suffix.lower() in COMMON_SUFFIXES]
+        if stem in found and len(common) != 1:
             raise UserError(
                 f"{folder / entry}: expected one image per frame, got {found[stem]} for the same frame; remove one of "
                 "the two files"
             )
-        found[stem] = entry
+        found[stem] = common[0] if stem in found else entry
     return found
 
 
+def no_pictures_error(folder: Path) -> UserError:
+    """Create the error for a camera's folder without images. The message names the suffixes of other files in it."""
+    suffixes = sort_names({Path(name).suffix for name in list_folder(folder)} - {""}) if folder.is_dir() else []
+    got = f"only {', '.join(suffixes[:5])} files; convert them to PNG" if suffixes else "none; restore them"
+    return UserError(f"{folder}: expected images ({', '.join(PICTURE_SUFFIXES)}), got {got}")
+
+
 def find_videos(folder: Path) -> dict[str, Path]:
-    """Return the paths of the videos in ``folder``, sorted and keyed by camera name, which is the file name without
-    suffix.
+    """Return the paths of the videos in ``folder`` in natural order, keyed by camera name, which is the file name
+    without suffix.
 
     Raises:
         UserError: if two videos have the same camera name.
     """
     found: dict[str, Path] = {}
-    for entry in sorted(os.listdir(folder)) if folder.is_dir() else []:
+    for entry in list_folder(folder) if folder.is_dir() else []:
         path = folder / entry
-        if path.suffix.lower() not in VIDEO_SUFFIXES or entry.startswith(".") or not path.is_file():
+        if path.suffix.lower() not in VIDEO_SUFFIXES or not path.is_file():
             continue
         if path.stem in found:
             raise UserError(
@@ -110,14 +128,16 @@ def frame_name(number: int) -> str:
     return f"{number:06d}"
 
 
-def sort_frames(stems: set[str]) -> list[str]:
-    """Sort frame names: by number if all names are numbers, otherwise alphabetically."""
-    if all(stem.isdecimal() for stem in stems):
-        return sorted(stems, key=lambda stem: (int(stem), stem))
-    return sorted(stems)
+def sort_frames(stems: Iterable[str]) -> list[str]:
+    """Sort frame names: by value if all names are decimal numbers such as 0.25, otherwise in natural order (frame_2
+    before frame_10)."""
+    names = list(stems)
+    if all(DECIMAL.fullmatch(name) for name in names):
+        return sorted(names, key=lambda name: (Decimal(name), name))
+    return sort_names(names)
 
 
-def missing_frame_error(folder: Path, found: dict[str, str], frames: Sequence[str]) -> UserError | None:
+def missing_frame_error(folder: Path, found: Mapping[str, str], frames: Sequence[str]) -> UserError | None:
     """Create the error for the first missing frame in a camera's folder; return None if no frame is missing.
 
     ``frames`` contains the names of all frames. ``found`` maps the names of the frames in ``folder`` to file names.
@@ -130,7 +150,7 @@ def missing_frame_error(folder: Path, found: dict[str, str], frames: Sequence[st
     more = f" ({len(missing) - 1} more files are missing in this folder)" if len(missing) > 1 else ""
     return UserError(
         f"{folder / name}: expected an image, since other cameras have this frame, got no such file{more}; restore the "
-        "file, or exclude the frame with --frames or the camera with --views"
+        "file, exclude the frame with --frames or the camera with --views, or leave out such frames with fourd import"
     )
 
 

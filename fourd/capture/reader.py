@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,53 +15,24 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera
 from fourd.capture.calibration import Calibration, read_calibration
-from fourd.capture.camera_frames import CameraFrames, Picture, PictureFrames, VideoFrames
-from fourd.capture.decoding import decode_matte, decode_rgb, picture_size
+from fourd.capture.camera_frames import CameraFrames, Footage, Picture, PictureFrames, VideoFrames
+from fourd.capture.decoding import read_header
 from fourd.capture.frame_rate import read_rate
 from fourd.capture.layout import (
-    MATTES,
     VIDEOS,
     camera_folders,
-    find_pictures,
     find_videos,
     frame_name,
-    missing_frame_error,
     parse_frame_range,
     select_views,
-    sort_frames,
 )
+from fourd.capture.pictures.alpha import resample
+from fourd.capture.pictures.footage import open_masks, open_mattes, open_pictures, picture_frame_names
+from fourd.capture.pictures.listing import list_images
+from fourd.capture.pictures.orientation import check_turned
 from fourd.capture.video import VideoReader
 from fourd.capture.video_list import Video, common_frames, common_rate, list_videos
 from fourd.errors import UserError, command_line
-
-
-@dataclass(frozen=True)
-class Mattes:
-    """One camera's mattes for the selected frames.
-
-    Attributes:
-        frames: the matte files, one per frame.
-        is_generated: whether fourd generated the mattes. Generated mattes match the undistorted images, so the reader
-            does not undistort them.
-    """
-
-    frames: CameraFrames
-    is_generated: bool
-
-
-@dataclass(frozen=True)
-class Footage:
-    """The selected frames of one camera.
-
-    Attributes:
-        images: the camera's images.
-        mattes: the camera's mattes, or None if the camera has no mattes.
-        size: (width, height) of the stored images in pixels.
-    """
-
-    images: CameraFrames
-    mattes: Mattes | None
-    size: tuple[int, int]
 
 
 class Capture:
@@ -190,13 +161,10 @@ class Capture:
                 f"{frames.describe(frame)}: expected {distorted.width} x {distorted.height} pixels like camera "
                 f"'{self.names[index]}', got {width} x {height}; export the frame again at the expected size"
             )
+        maps = None
         if distorted.distortion is not None and not is_undistorted:
             maps = self._cache.get(index, lambda: undistortion_maps(distorted))
-            picture = np.asarray(cv2.remap(picture, maps[0], maps[1], cv2.INTER_LINEAR), np.uint8)
-        if (camera.width, camera.height) != (width, height):
-            interpolation = cv2.INTER_AREA if camera.width < width else cv2.INTER_LINEAR
-            size = (camera.width, camera.height)
-            picture = np.asarray(cv2.resize(picture, size, interpolation=interpolation), np.uint8)
+        picture = resample(picture, maps, (camera.width, camera.height))
         picture.flags.writeable = False
         return picture
 
@@ -214,8 +182,9 @@ def open_capture(
     """Open a capture in the EasyMocap layout: images/CAM/FRAME.jpg or .png, masks/CAM/FRAME.png, intri.yml, extri.yml.
 
     If images/ has no camera folders, frames are read from videos/CAM.mp4 (or another video suffix) by seeking. Opening
-    a capture decodes no images. If masks/ has no mattes of a camera, the generated mattes of the camera are used.
-    Undistortion keeps the intrinsics K. Pixels that the stored image does not cover are 0.
+    a capture decodes images only if they have alpha channels. If masks/ has no mattes of a camera, its mattes are the
+    alpha channels of its images, or else the generated mattes. Images are turned upright as their EXIF orientation
+    says. Undistortion keeps the intrinsics K. Pixels that the stored image does not cover are 0.
 
     Args:
         path: the capture's folder.
@@ -238,10 +207,11 @@ def open_capture(
     calibrations = read_calibration(path)
     names = _select_cameras(path, calibrations, views)
     if camera_folders(path / "images"):
-        all_frames, rate = _list_picture_frames(path, names), read_rate(path)
+        images, rate = list_images(path / "images", names), read_rate(path)
+        all_frames = picture_frame_names(path, images)
         selected = parse_frame_range(frames, len(all_frames))
         chosen = [all_frames[number] for number in selected]
-        footage = [_open_pictures(path, name, chosen) for name in names]
+        footage = [open_pictures(path, name, images[name], chosen) for name in names]
     else:
         videos = list_videos(path, names)
         all_frames, rate = _list_video_frames(path, videos), common_rate(videos)
@@ -249,11 +219,13 @@ def open_capture(
         chosen = [all_frames[number] for number in selected]
         footage = [_open_video(videos[name], selected) for name in names]
     if mattes:
+        own = open_masks(path, all_frames)
         footage = [
-            replace(of, mattes=_open_mattes(path, name, chosen)) for name, of in zip(names, footage, strict=True)
+            replace(of, mattes=open_mattes(path, name, of.images, own, chosen))
+            for name, of in zip(names, footage, strict=True)
         ]
     _check_mattes(path, names, footage)
-    cameras = [_to_camera(path, name, calibrations[name], of.size) for name, of in zip(names, footage, strict=True)]
+    cameras = [_to_camera(path, name, calibrations[name], of) for name, of in zip(names, footage, strict=True)]
     count = len(all_frames)
     fps = None if rate is None else float(rate / selected.step)
     return Capture(path, names, cameras, footage, chosen, list(selected), count, scale, cache_mb, cache_frames, fps)
@@ -274,27 +246,6 @@ def _check_mattes(path: Path, names: Sequence[str], footage: Sequence[Footage]) 
             )
 
 
-def _list_picture_frames(path: Path, names: Sequence[str]) -> list[str]:
-    """Return the sorted names of all frames that have an image of at least one camera."""
-    found = {name: find_pictures(path / "images" / name) for name in names}
-    for name in names:
-        if not found[name]:
-            raise UserError(
-                f"{path / 'images' / name}: expected images (FRAME.jpg or FRAME.png), got none; restore them"
-            )
-    return sort_frames(set().union(*found.values()))
-
-
-def _open_pictures(path: Path, name: str, chosen: Sequence[str]) -> Footage:
-    folder = path / "images" / name
-    found = find_pictures(folder)
-    error = missing_frame_error(folder, found, chosen)
-    if error is not None:
-        raise error
-    images = [folder / found[stem] for stem in chosen]
-    return Footage(PictureFrames(images, decode_rgb), None, picture_size(images[0]))
-
-
 def _list_video_frames(path: Path, videos: Mapping[str, Video]) -> list[str]:
     """Return the names of the frames that exist in all videos."""
     total = common_frames(videos)
@@ -310,24 +261,6 @@ def _open_video(video: Video, selected: range) -> Footage:
     numbers = [video.number(number) for number in selected]
     images = VideoFrames(VideoReader(video.path, video.index), numbers)
     return Footage(images, None, (video.index.width, video.index.height))
-
-
-def _open_mattes(path: Path, name: str, chosen: Sequence[str]) -> Mattes | None:
-    """Return the user's mattes of the chosen frames, or the generated mattes, or None if there are neither."""
-    for folder, is_generated in ((path / "masks" / name, False), (path / MATTES / name, True)):
-        files = find_pictures(folder)
-        if files:
-            error = missing_frame_error(folder, files, chosen)
-            if error is not None and is_generated:
-                count = sum(stem in files for stem in chosen)
-                raise UserError(
-                    f"{folder}: expected mattes of {len(chosen)} frames, got {count}; make the missing mattes with: "
-                    f"{command_line('fourd', 'matte', path)}"
-                ) from error
-            if error is not None:
-                raise error
-            return Mattes(PictureFrames([folder / files[stem] for stem in chosen], decode_matte), is_generated)
-    return None
 
 
 def _select_cameras(path: Path, calibrations: dict[str, Calibration], views: Sequence[str] | None) -> list[str]:
@@ -356,15 +289,23 @@ def _select_cameras(path: Path, calibrations: dict[str, Calibration], views: Seq
     return names
 
 
-def _to_camera(path: Path, name: str, calibration: Calibration, size: tuple[int, int]) -> Camera:
-    """Create the camera with distortion; its image size is ``size`` if the calibration contains no image size."""
+def _to_camera(path: Path, name: str, calibration: Calibration, footage: Footage) -> Camera:
+    """Create the camera with distortion. Its image size is that of ``footage`` if the calibration contains none.
+
+    Raises:
+        UserError: if the calibration is not valid, or belongs to images that are not turned upright.
+    """
     width, height = calibration.width, calibration.height
     if width is None or height is None:
-        width, height = size
+        width, height = footage.size
     try:
-        return calibration.camera(width, height)
+        camera = calibration.camera(width, height)
     except ValueError as error:
         raise UserError(f"{path / 'intri.yml'}: camera '{name}': {error}; calibrate that camera again") from error
+    if isinstance(footage.images, PictureFrames):
+        first = footage.images.paths[0]
+        check_turned(name, camera, first, read_header(first))
+    return camera
 
 
 def undistortion_maps(camera: Camera) -> NDArray[np.float32]:

@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera
 from fourd.capture.calibration import camera_name_problem
-from fourd.capture.layout import camera_folders, find_pictures, find_videos, sort_frames
+from fourd.capture.layout import camera_folders, find_pictures, find_videos, frame_name, sort_frames
+from fourd.capture.pictures.moments import match_masks
 from fourd.errors import UserError
+from fourd.files import sort_names
+from fourd.formats.frame_numbers import varying_numbers
 from fourd.importing.imported import Frames, ImportedCamera, PictureFiles, VideoFile
 from fourd.limits import open_regular, read_limited
 
@@ -32,9 +35,9 @@ the recording."""
 
 
 def list_entries(folder: Path) -> list[str]:
-    """Return the sorted names in ``folder``. The list of names is empty if the folder cannot be read."""
+    """Return the names in ``folder`` in natural order. The list of names is empty if the folder cannot be read."""
     try:
-        return sorted(os.listdir(folder))
+        return sort_names(os.listdir(folder))
     except (OSError, ValueError):
         return []
 
@@ -116,37 +119,51 @@ def picture_files(folder: Path) -> PictureFiles | None:
     by_stem = find_pictures(folder)
     if not by_stem:
         return None
-    return PictureFiles(tuple(folder / by_stem[stem] for stem in sort_frames(set(by_stem))))
+    stems = sort_frames(by_stem)
+    return PictureFiles(tuple(folder / by_stem[stem] for stem in stems), tuple(stems))
 
 
 def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
-    """Find the mattes of a camera. Mattes and images are matched by the last number in their file names. Returns None
-    if the folder has no mattes.
+    """Find the mattes of a camera. Mattes and images are matched by the number that varies in their file names, or else
+    by name. Returns None if the folder has no mattes.
 
     For a video, all mattes in the folder are returned, because the video's number of frames is not known here.
 
     Raises:
-        UserError: when an image has no matte.
+        UserError: when an image has no matte, or the mattes of a video are not numbered from 0 or 1 without gaps.
     """
     found = picture_files(folder)
-    if found is None or not isinstance(frames, PictureFiles):
-        return found
-    by_number = {_last_number(path.stem): path for path in found.paths}
-    wanted = [_last_number(path.stem) for path in frames.paths]
-    if None not in wanted and len(set(wanted)) == len(wanted) and len(by_number) == len(found.paths):
-        for number, path in zip(wanted, frames.paths, strict=True):
-            if number not in by_number:
-                raise UserError(
-                    f"{folder}: expected a matte for each image, got none for {path.name}; "
-                    "restore the matte, or move all mattes away"
-                )
-        return PictureFiles(tuple(by_number[number] for number in wanted))
-    if len(found.paths) != len(frames.paths):
+    if found is None:
+        return None
+    if not isinstance(frames, PictureFiles):
+        return _mattes_of_video(folder, found)
+    path_of = dict(zip(found.names, found.paths, strict=True))
+    matched = match_masks(found.names, frames.names)
+    for name, path in zip(frames.names, frames.paths, strict=True):
+        if name not in matched:
+            raise UserError(
+                f"{folder}: expected a matte for each image, got none for {path.name}; "
+                "restore the matte, or move all mattes away"
+            )
+    return PictureFiles(tuple(path_of[matched[name]] for name in frames.names), frames.names)
+
+
+def _mattes_of_video(folder: Path, found: PictureFiles) -> PictureFiles:
+    """Return the mattes of a video's frames, named after the numbers of the frames."""
+    numbers = varying_numbers(found.names)
+    if len(found.names) > 1 and (numbers is None or numbers != list(range(numbers[0], numbers[0] + len(numbers)))):
+        gap = next((n for n in range(min(numbers), max(numbers)) if n not in numbers), None) if numbers else None
+        got = "other names" if gap is None else f"no matte of frame {gap}"
         raise UserError(
-            f"{folder}: expected a matte for each of {len(frames.paths)} images, got {len(found.paths)} mattes; "
-            "restore the missing mattes, or move all mattes away"
+            f"{folder}: expected a matte of each video frame, numbered without gaps, got {got}; restore the mattes, or "
+            "move all mattes away"
         )
-    return found
+    if numbers is not None and numbers[0] > 1:
+        raise UserError(
+            f"{folder}: expected a matte of each video frame, numbered from 0 or 1, got {found.paths[0].name} first; "
+            "restore the mattes, or move all mattes away"
+        )
+    return PictureFiles(found.paths, tuple(frame_name(index) for index in range(len(found.paths))))
 
 
 def check_names(names: Sequence[str]) -> None:

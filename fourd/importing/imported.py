@@ -8,13 +8,27 @@ from fractions import Fraction
 from pathlib import Path
 
 from fourd.cameras import Camera
+from fourd.capture.layout import frame_name
 
 
 @dataclass(frozen=True)
 class PictureFiles:
-    """One JPEG or PNG file per frame, in frame order."""
+    """One image file per frame, in frame order.
+
+    Attributes:
+        paths: the files.
+        given_names: names of the frames, or None if the names of the files, without suffix, are the names of the
+            frames. The images of different cameras are paired by these names; see
+            :func:`fourd.importing.pictures.moments.align_pictures`.
+    """
 
     paths: tuple[Path, ...]
+    given_names: tuple[str, ...] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the frames."""
+        return tuple(path.stem for path in self.paths) if self.given_names is None else self.given_names
 
 
 @dataclass(frozen=True)
@@ -32,11 +46,19 @@ class EncodedPictures:
         count: number of frames.
         suffix: suffix of the files to write, such as ``.jpg``.
         read: function that returns the encoded bytes of a frame by index.
+        given_names: names of the frames, or None if the frames are named after their indices. The images of different
+            cameras are paired by these names.
     """
 
     count: int
     suffix: str
     read: Callable[[int], bytes]
+    given_names: tuple[str, ...] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the frames."""
+        return tuple(frame_name(index) for index in range(self.count)) if self.given_names is None else self.given_names
 
 
 Frames = PictureFiles | VideoFile | EncodedPictures

@@ -14,6 +14,8 @@ from fourd.cameras import describe_equal_positions
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
 from fourd.capture.frame_rate import FPS_IS_FOR_PICTURES, read_rate, standard_rate
 from fourd.capture.layout import DERIVED, refuse_symlinks, sample_indices
+from fourd.capture.pictures.alpha import ALPHA_NOTE, alpha_is_matte
+from fourd.capture.pictures.masks import MaskFolder
 from fourd.capture.video import VideoIndex
 from fourd.capture.video_index import cached_indices
 from fourd.errors import UserError
@@ -22,6 +24,8 @@ from fourd.importing.detection import Format
 from fourd.importing.frame_geometry import CalibratedFrames, match_calibrations, reduced_indices
 from fourd.importing.given_calibration import apply_calibration, equal_poses, is_metric_calibration
 from fourd.importing.imported import Imported, VideoFile, video_files
+from fourd.importing.pictures.geometry import match_pictures
+from fourd.importing.pictures.moments import PairBy, align_pictures
 from fourd.importing.record import (
     ImportRecord,
     check_same_source,
@@ -77,6 +81,8 @@ class ImportOptions:
         distance: known distance between two cameras, which sets the scale of the world.
         board: chessboard in the first frames, which sets the world's origin and axes.
         calibration: folder with intri.yml and extri.yml for videos without a calibration.
+        pair_by: how images of different cameras are paired by moment; see
+            :func:`fourd.importing.pictures.moments.align_pictures`.
     """
 
     copy: bool = False
@@ -95,6 +101,7 @@ class ImportOptions:
     distance: Distance | None = None
     board: Board | None = None
     calibration: str | None = None
+    pair_by: PairBy = "auto"
 
 
 def import_source(
@@ -119,7 +126,7 @@ def import_source(
     before = read_record(out)
     if before is not None:
         check_same_source(out, before, source, source_format.name)
-    imported = _with_rate(source_format.read(source), source, options)
+    imported, warnings = align_pictures(_with_rate(source_format.read(source), source, options), options.pair_by)
     if options.calibration is not None:
         imported = apply_calibration(imported, source_format.name, Path(options.calibration))
     needs_calibration = _check_options(imported, source, options)
@@ -143,8 +150,8 @@ def import_source(
     indices = _read_indices(imported, out, options, track)
     estimate = _estimate(imported, indices, out, options, log, track)
     offsets = applied_offsets(estimate, options.offsets, options.apply_sync)
-    imported = _match_calibrations(imported, indices, options, log)
-    warnings = [] if needs_calibration else equal_poses(imported.cameras)
+    imported = _match_calibrations(imported, indices, options, log, track)
+    warnings += [] if needs_calibration else equal_poses(imported.cameras)
     imported = _calibrate(imported, indices, offsets, options, needs_calibration, log, warnings.append, track)
     if estimate is not None:
         estimate = _correct_estimate(estimate, imported, source_format, options, log)
@@ -152,7 +159,8 @@ def import_source(
     check_unpacked(out, started, files, offsets, options.reduce)
     record = replace(record, files=files, offsets=offsets, unpacked=started.unpacked or options.unpack)
     write_record(out, record)
-    for line in _write(imported, indices, out, options, offsets, track, with_calibration=True):
+    notes = _write(imported, indices, out, options, offsets, track, with_calibration=True)
+    for line in (*notes, *_describe_mattes(out)):
         log(line)
     for line in warnings:
         warn(line)
@@ -236,11 +244,21 @@ def _read_indices(imported: Imported, out: Path, options: ImportOptions, track: 
     return reduced_indices(cached_indices(video_files(imported.cameras), out, track), options.reduce)
 
 
-def _match_calibrations(imported: Imported, indices: Indices, options: ImportOptions, log: Log) -> Imported:
+def _match_calibrations(
+    imported: Imported, indices: Indices, options: ImportOptions, log: Log, track: Track
+) -> Imported:
     cameras, notes = match_calibrations(imported.cameras, indices, options.calibrated_frames, options.reduce)
-    for note in notes:
+    imported, turned = match_pictures(replace(imported, cameras=cameras), options.calibrated_frames, track)
+    for note in (*notes, *turned):
         log(note)
-    return replace(imported, cameras=cameras)
+    return imported
+
+
+def _describe_mattes(out: Path) -> list[str]:
+    """Return notes on how the masks or alpha channels of a written capture are read."""
+    if alpha_is_matte(out):
+        return [ALPHA_NOTE]
+    return MaskFolder(out / "masks").notes()
 
 
 def _has_calibration(out: Path) -> bool:
@@ -264,6 +282,7 @@ def _calibrate(
         has_few = len(names) <= FEW_CAMERAS
         numbers = sample_indices(frames.count, MAX_SAMPLE_FRAMES if has_few and not needs_calibration else 1)
         pictures = [frames.pictures(frame) for frame in track(numbers, len(numbers), "frames")]
+        frames.check_sizes(numbers, pictures)
     first = dict(zip(names, pictures[0], strict=True))
     if needs_calibration:
         for _ in track(range(1), 1, "calibrating"):

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
 from fourd.errors import UserError, command_line
+from fourd.files import list_folder
 from fourd.importing.folders import CALIBRATION_FOLDER, find_frames
 from fourd.importing.imported import Imported
 
@@ -253,7 +254,7 @@ def _files(folder: Path) -> list[Path]:
 
 def _entries(folder: Path) -> list[Path]:
     try:
-        return [folder / name for name in sorted(os.listdir(folder)) if not name.startswith(".")]
+        return [folder / name for name in list_folder(folder)]
     except OSError:
         return []
 

@@ -129,9 +129,9 @@ def digests(imported: Imported) -> tuple[str, str]:
             calibrations.update(repr((camera.name, calibration.width, calibration.height, values)).encode())
         for frames in (camera.frames, camera.masks):
             if isinstance(frames, PictureFiles):
-                content: object = [str(path) for path in frames.paths]
+                content: object = [(str(path), name) for path, name in zip(frames.paths, frames.names, strict=True)]
             elif isinstance(frames, EncodedPictures):
-                content = (frames.count, frames.suffix)
+                content = (frames.names, frames.suffix)
             else:
                 content = None if frames is None else (str(frames.path), frames.path.stat().st_size)
             files.update(repr((camera.name, content)).encode())

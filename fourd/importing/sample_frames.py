@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 
@@ -31,7 +31,7 @@ class EncodedFrames:
 
     def describe(self, frame: int) -> str:
         """Return the name of a frame for error messages."""
-        return f"frame {frame}{self.frames.suffix}"
+        return f"frame {self.frames.names[frame]}{self.frames.suffix}"
 
     def close(self) -> None:
         """Do nothing: the file is open only while it is read."""
@@ -84,6 +84,17 @@ class SynchronizedFrames:
     def pictures(self, frame: int) -> list[Picture]:
         """Read the images of all cameras for one frame number."""
         return [source.read(frame) for source in self._sources]
+
+    def check_sizes(self, numbers: Sequence[int], pictures: Sequence[Sequence[Picture]]) -> None:
+        """Raise UserError if a camera's images, read at the frame numbers ``numbers``, do not have the same size."""
+        for number, of_frame in zip(numbers, pictures, strict=True):
+            for source, name, picture, first in zip(self._sources, self.names, of_frame, pictures[0], strict=True):
+                if picture.shape != first.shape:
+                    (height, width), (first_height, first_width) = picture.shape[:2], first.shape[:2]
+                    raise UserError(
+                        f"camera '{name}': {source.describe(number)}: expected {first_width} x {first_height} pixels "
+                        f"as in the first frame, got {width} x {height}; export the frames again at one size"
+                    )
 
     def _open_frames(self, frames: Frames, video: Video | None) -> tuple[CameraFrames, int]:
         if isinstance(frames, PictureFiles):

@@ -125,12 +125,11 @@ def _write_videos(videos: Mapping[str, Video], out: Path, copy: bool, track: Tra
 
 def _write_pictures(frames: Frames, folder: Path, copy: bool, track: Track) -> None:
     if isinstance(frames, PictureFiles):
-        for number in track(range(len(frames.paths)), len(frames.paths), folder.name):
-            path = frames.paths[number]
-            _link_or_copy(path, folder / f"{frame_name(number)}{path.suffix.lower()}", copy)
+        for path, name in track(list(zip(frames.paths, frames.names, strict=True)), len(frames.paths), folder.name):
+            _link_or_copy(path, folder / f"{name}{path.suffix.lower()}", copy)
     elif isinstance(frames, EncodedPictures):
-        for number in track(range(frames.count), frames.count, folder.name):
-            target = folder / f"{frame_name(number)}{frames.suffix}"
+        for number, name in track(list(enumerate(frames.names)), frames.count, folder.name):
+            target = folder / f"{name}{frames.suffix}"
             if not target.exists():
                 write_bytes_atomically(target, frames.read(number))
 

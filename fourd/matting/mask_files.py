@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture import Capture
-from fourd.capture.decoding import decode_matte
-from fourd.capture.layout import find_pictures
+from fourd.capture.pictures.listing import list_masks
+from fourd.capture.pictures.masks import MaskFolder
 from fourd.capture.reader import undistortion_maps
 from fourd.errors import UserError
 
@@ -28,7 +28,7 @@ def find_masks(folder: Path, capture: Capture, frames: list[int]) -> dict[tuple[
         raise UserError(f"--masks {folder}: expected a folder with CAM/FRAME.png, got {got}; check the path")
     paths: dict[tuple[int, int], Path] = {}
     for camera, name in enumerate(capture.names):
-        found = find_pictures(folder / name)
+        found = list_masks(folder / name, capture.frame_names)
         missing = [frame for frame in frames if capture.frame_names[frame] not in found]
         if missing:
             more = f" ({len(missing) - 1} more masks of this camera are missing)" if len(missing) > 1 else ""
@@ -40,13 +40,14 @@ def find_masks(folder: Path, capture: Capture, frames: list[int]) -> dict[tuple[
     return paths
 
 
-def read_mask(path: Path, capture: Capture, camera: int) -> Picture:
+def read_mask(path: Path, masks: MaskFolder, capture: Capture, camera: int) -> Picture:
     """Read a mask and undistort it. Returns (H, W) uint8 at the size of the undistorted images, 255 = subject.
 
     Raises:
-        UserError: if the file is damaged, or the mask does not have the size of the camera's images.
+        UserError: if the file is damaged, the meaning of its values cannot be decided, or the mask does not have the
+            size of the camera's images.
     """
-    mask = decode_matte(path)
+    mask = masks.decode(path)
     stored = capture.distorted_cameras[camera]
     require_size(mask, path, stored.width, stored.height, capture.names[camera])
     if stored.distortion is not None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from fourd.capture import Capture
 from fourd.capture.layout import MATTES, parse_frame_range, refuse_symlinks, sample_indices
+from fourd.capture.pictures.masks import MaskFolder
 from fourd.errors import UserError, command_line
 from fourd.formats.picture import write_picture
 from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, parse_screen
@@ -283,11 +284,12 @@ def _convert_masks(
     if settings.masks is None:
         raise UserError("--masks: expected a folder for --method masks, got none; pass --masks FOLDER")
     paths = find_masks(settings.masks, capture, list(missing))
+    masks = MaskFolder(settings.masks)
     folder = output.start()
     for (camera, frame), path in track(paths.items(), len(paths), "masks"):
         matte = folder / capture.names[camera] / f"{capture.frame_names[frame]}.png"
         if not matte.exists():
-            write_matte(matte, read_mask(path, capture, camera))
+            write_matte(matte, read_mask(path, masks, capture, camera))
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fourd.capture.calibration import INTRINSICS_NAME
 from fourd.capture.layout import VIDEOS, camera_folders
+from fourd.capture.pictures.alpha import alpha_is_matte
 from fourd.errors import UserError, command_line
 from fourd.importing.importer import ImportOptions
 from fourd.pipeline.runner import AnyStage
@@ -19,8 +20,8 @@ MASKS = "masks"
 
 
 def has_masks(capture: Path) -> bool:
-    """Return True if the user provided masks in the capture's folder masks/."""
-    return bool(camera_folders(capture / MASKS))
+    """Return True if the user provided masks, in the capture's folder masks/ or in the alpha channels of its images."""
+    return bool(camera_folders(capture / MASKS)) or alpha_is_matte(capture)
 
 
 def is_usable(source: Path) -> bool:

@@ -1,4 +1,4 @@
-"""Decoding of image files. Only JPEG and PNG are decoded, regardless of the file's suffix."""
+"""Decoding of image files. Only a few formats are decoded, regardless of the file's suffix."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def encode(file_format: str) -> bytes:
 
 @pytest.mark.usefixtures("no_ghostscript")
 @pytest.mark.parametrize("decode", DECODERS)
-@pytest.mark.parametrize("file_format", ["EPS", "TIFF", "BMP", "GIF"])
+@pytest.mark.parametrize("file_format", ["EPS", "GIF", "PPM"])
 def test_other_formats_are_refused(tmp_path: Path, decode: Callable[[Path], object], file_format: str) -> None:
     """Catches a decoder that is chosen by content and runs the PostScript code of an EPS file named .jpg."""
     path = tmp_path / "000000.jpg"
     path.write_bytes(encode(file_format))
-    with pytest.raises(UserError, match="expected a complete JPEG or PNG image, got another format; copy"):
+    with pytest.raises(UserError, match=r"expected a complete JPEG, PNG, .* image, got another format; copy"):
         decode(path)
 
 
@@ -51,7 +51,7 @@ def test_check_refuses_eps_in_images_and_masks(tmp_path: Path) -> None:
     (capture / "masks" / "02" / "000001.png").write_bytes(encode("EPS"))
     problems = check_capture(capture, deep=True).problems
     assert len(problems) == 2
-    assert all("expected a complete JPEG or PNG image, got another format" in problem for problem in problems)
+    assert all("TIFF or WebP image, got another format" in problem for problem in problems)
 
 
 def test_alpha_is_read_and_opaque_without_a_channel(tmp_path: Path) -> None:

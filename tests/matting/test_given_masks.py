@@ -96,7 +96,7 @@ def test_mattes_are_kept_until_new_ones_are_complete(
     finished = {path.name: path.stat().st_mtime_ns for path in (own / ".fourd" / "new_mattes" / "02").iterdir()}
     assert make_mattes(Selection(own), MatteSettings("masks", masks=masks), 1, untracked) == 5
     assert {path.name: path.stat().st_mtime_ns for path in (own / MATTES / "02").iterdir()} == finished
-    assert {(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) == 90).all() for path in (own / MATTES).glob("*/*")} == {True}
+    assert {(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) == 255).all() for path in (own / MATTES).glob("*/*")} == {True}
     assert sorted(path.name for path in (own / ".fourd").iterdir()) == ["mattes", "mattes.json"]
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from fourd.baking.meshes.glb import read_glb_mesh
 from fourd.baking.meshes.mesh import Mesh
 from fourd.baking.meshes.ply import read_ply_mesh
 from fourd.errors import UserError
+from fourd.formats.frame_numbers import sort_sequence
 from fourd.formats.ply import read_header
 
 ANIMATION_NAME = "animation.glb"
@@ -41,8 +41,7 @@ class MeshSource:
 
     def __init__(self, path: Path) -> None:
         self._files = _list_files(path) if path.is_dir() else [path]
-        numbers = tuple(_last_number(file) for file in self._files)
-        self.frame_numbers = numbers if len(set(numbers)) == len(numbers) else tuple(range(len(numbers)))
+        self.frame_numbers = sort_sequence([file.stem for file in self._files])[1]
 
     def read(self, index: int) -> Mesh:
         """Read the frame with the 0-based ``index``. Raises UserError if the frame's file is not a valid mesh."""
@@ -58,10 +57,5 @@ def _list_files(folder: Path) -> list[Path]:
     for suffix in (".glb", ".ply"):
         found = [file for file in files if file.suffix.lower() == suffix]
         if found:
-            return sorted(found, key=lambda file: (_last_number(file), file.name))
+            return [found[index] for index in sort_sequence([file.stem for file in found])[0]]
     return []
-
-
-def _last_number(file: Path) -> int:
-    numbers = re.findall(r"\d{1,15}", file.stem)
-    return int(numbers[-1]) if numbers else 0

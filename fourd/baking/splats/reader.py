@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from fourd.baking.splats.ply import is_splat_ply, read_splat_ply
 from fourd.baking.splats.raw import count_splats, read_splat
 from fourd.baking.splats.surrounding_cameras import cameras_around
 from fourd.errors import UserError
+from fourd.formats.frame_numbers import sort_sequence
 from fourd.formats.ply import read_header, read_ply
 from fourd.storage import Location
 
@@ -35,7 +35,7 @@ def open_reader(path: Location) -> SceneReader | SplatReader:
 def is_splats(path: Path) -> bool:
     """Return whether a path names a file of splats or points, or a folder that contains such files and is not a run."""
     if path.is_dir():
-        return not (path / "config.yaml").exists() and bool(_list_files(path))
+        return not (path / "config.yaml").exists() and bool(_list_files(path)[0])
     return path.suffix.lower() in SUFFIXES
 
 
@@ -54,7 +54,8 @@ class SplatReader:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        self._files = _list_files(self.path) if self.path.is_dir() else [self.path]
+        files = _list_files(self.path) if self.path.is_dir() else ([self.path], sort_sequence([self.path.stem])[1])
+        self._files, numbers = files
         counts = tuple(_count(file) for file in self._files)
         lower, upper, focus = _extent(_read_cloud(self._files[0]).xyz)
         diagonal = max(float(np.linalg.norm(upper - lower)), 1e-6)
@@ -65,7 +66,7 @@ class SplatReader:
             source_cameras=(),
             focus=to_triple(focus),
             bounds=(to_triple(lower), to_triple(upper)),
-            frame_numbers=_frame_numbers(self._files),
+            frame_numbers=numbers,
             points=counts,
             other_names=tuple(f"side {index + 1}" for index in range(len(cameras))),
             other_cameras=cameras,
@@ -99,20 +100,11 @@ class SplatReader:
         """Return None, because splats have no shadows."""
 
 
-def _list_files(folder: Path) -> list[Path]:
-    """Return the splat files in a folder, ordered by the last number in their names."""
+def _list_files(folder: Path) -> tuple[list[Path], tuple[int, ...]]:
+    """Return the splat files in a folder in the order of their frames, and their frame numbers."""
     files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
-    return sorted(files, key=lambda file: (_last_number(file), file.name))
-
-
-def _last_number(file: Path) -> int:
-    numbers = re.findall(r"\d{1,15}", file.stem)
-    return int(numbers[-1]) if numbers else 0
-
-
-def _frame_numbers(files: list[Path]) -> tuple[int, ...]:
-    numbers = [_last_number(file) for file in files]
-    return tuple(numbers) if len(set(numbers)) == len(numbers) else tuple(range(len(files)))
+    order, numbers = sort_sequence([file.stem for file in files])
+    return [files[index] for index in order], numbers
 
 
 def _count(file: Path) -> int:

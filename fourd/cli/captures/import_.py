@@ -24,6 +24,7 @@ from fourd.importing.detection import FORMATS, pick_format
 from fourd.importing.frame_geometry import CalibratedFrames
 from fourd.importing.given_calibration import VIDEOS_FORMAT
 from fourd.importing.importer import ImportOptions, import_source
+from fourd.importing.pictures.moments import PairBy
 from fourd.importing.time_offsets import SoundPosition, SyncMethod
 from fourd.processes import locked_folder
 from fourd.progress import Terminal, Tracker
@@ -90,6 +91,14 @@ class Arguments:
     ] = "auto"
     sound_at: Annotated[str, tyro.conf.arg(metavar="auto|none|centre|X,Y,Z", help=SOUND_HELP)] = "auto"
     fps: FramesPerSecond = None
+    pair_by: Annotated[
+        PairBy,
+        describe(
+            "How images of different cameras are paired.",
+            "name: by the frame names or numbers in the file names; frames that a camera lacks are left out. order: "
+            "first with first, second with second. auto: name, but refused if the names leave doubt.",
+        ),
+    ] = "auto"
     resize: Annotated[
         str,
         tyro.conf.arg(
@@ -170,6 +179,7 @@ def _options(arguments: Arguments) -> ImportOptions:
         calibration=None if arguments.calibration is None else str(resolved(arguments.calibration)),
         reduce=reduce,
         calibrated_frames=arguments.calibrated_frames,
+        pair_by=arguments.pair_by,
         distance=distance,
         board=None if arguments.board is None else _board(arguments.board),
     )

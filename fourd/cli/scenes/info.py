@@ -20,6 +20,7 @@ from fourd.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES
 from fourd.cli.locations import PATH_OR_URL, scene_or_copy
 from fourd.cli.outputs import READS
 from fourd.errors import UserError, command_line
+from fourd.files import list_folder, sort_names
 from fourd.limits import MAX_CONFIG_BYTES, open_regular, read_limited, require_regular
 from fourd.processes.isolation import ParserProcess
 from fourd.progress import Terminal
@@ -101,7 +102,7 @@ def _describe_folder(path: Path) -> tuple[str, Rows]:
     signs = ("images", "videos", "intri.yml", "extri.yml")
     if any((path / sign).exists() for sign in signs):
         return CAPTURE_TITLE, _capture(path)
-    videos = [file for file in sorted(path.iterdir()) if file.suffix.lower() in VIDEO_SUFFIXES]
+    videos = [path / name for name in list_folder(path) if Path(name).suffix.lower() in VIDEO_SUFFIXES]
     if videos:
         return "a folder of videos", [(file.name, "; ".join(value for _, value in _video(file))) for file in videos]
     if any(file.suffix.lower() in (".ply", ".splat") for file in path.iterdir()):
@@ -321,7 +322,7 @@ def _last_metrics(path: Path) -> list[str]:
 def _capture(path: Path) -> Rows:
     calibrated = (path / "intri.yml").is_file() and (path / "extri.yml").is_file()
     folders = _cameras_in(path / "images")
-    videos = sorted(file.name for file in path.glob("videos/*") if file.suffix.lower() in VIDEO_SUFFIXES)
+    videos = sort_names(file.name for file in path.glob("videos/*") if file.suffix.lower() in VIDEO_SUFFIXES)
     rows: Rows = []
     if calibrated and (folders or videos):
         from fourd.capture import open_capture
@@ -344,7 +345,7 @@ def _capture(path: Path) -> Rows:
 def _cameras_in(images: Path) -> list[str]:
     if not images.is_dir():
         return []
-    return sorted(
+    return sort_names(
         folder.name
         for folder in images.iterdir()
         if folder.is_dir() and any(file.suffix.lower() in PICTURE_SUFFIXES for file in folder.iterdir())

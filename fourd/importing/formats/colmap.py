@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from fourd.cameras import Camera
-from fourd.capture.layout import PICTURE_SUFFIXES, find_videos
+from fourd.capture.layout import PICTURE_SUFFIXES, find_videos, frame_name
 from fourd.errors import UserError
 from fourd.importing.folders import (
     FRAME_FOLDERS,
@@ -191,7 +191,7 @@ def _photo(base: Path, camera: _ModelCamera) -> PictureFiles | None:
             f"{file}: expected an image with the suffix {', '.join(PICTURE_SUFFIXES)}, got {file.suffix or 'none'}; "
             "convert the images, and rename them in the model"
         )
-    return PictureFiles((file,)) if file.is_file() else None
+    return PictureFiles((file,), (frame_name(0),)) if file.is_file() else None
 
 
 def _unnamed(base: Path, cameras: Mapping[str, _ModelCamera]) -> list[str]:

@@ -64,10 +64,11 @@ def read(source: Path) -> Imported:
     cameras = []
     for number, (frames, _) in sorted(pictures.items()):
         mattes = masks.get(number)
-        if mattes is not None and mattes.count != frames.count:
+        if mattes is not None and mattes.names != frames.names:
+            wrong = min(set(mattes.names) ^ set(frames.names))
             raise UserError(
                 f"{annotations}: Mask/{number}: expected {frames.count} mattes, one for each image, "
-                f"got {mattes.count}; download it again"
+                f"got {mattes.count} (first difference: frame {int(wrong)}); download it again"
             )
         cameras.append(ImportedCamera(f"{number:02d}", calibrations.get(number), frames, mattes))
     notes = [

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 from PIL import Image
 
 from fourd.capture.decoding import PICTURE_FORMATS
+from fourd.capture.layout import frame_name
 from fourd.errors import UserError
 from fourd.importing.folders import parse_numbers
 from fourd.importing.imported import EncodedPictures
@@ -61,18 +63,21 @@ class Hdf5File:
             return {int(number): f"{name}/{member}" for number, member in numbers}
 
     def encoded(self, name: str) -> tuple[EncodedPictures, tuple[int, int]]:
-        """Return a group's images ordered by number, and (width, height) of the first image."""
-        paths = list(self.numbered(name).values())
+        """Return a group's images ordered by number and named after it, and (width, height) of the first image."""
+        numbered = self.numbered(name)
+        paths, names = list(numbered.values()), tuple(frame_name(number) for number in numbered)
         if not paths:
             raise UserError(f"{self.path}: {name}: expected images, got none; download it again")
         found = self._call("picture_header", paths[0]).value
         with self._checked(name):
             width, height = int(found["width"]), int(found["height"])
             suffix = {"JPEG": ".jpg", "PNG": ".png"}[found["format"]]
-        return EncodedPictures(len(paths), suffix, lambda index: self._call("content", paths[index]).content), (
-            width,
-            height,
-        )
+        read = _Contents(self, tuple(paths))
+        return EncodedPictures(len(paths), suffix, read, names), (width, height)
+
+    def content(self, name: str) -> bytes:
+        """Read the bytes of an encoded image."""
+        return self._call("content", name).content
 
     def array(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
         """Read a dataset of finite numbers with the shape ``shape``. If the shape is (-1,), the dataset is
@@ -93,6 +98,17 @@ class Hdf5File:
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             message = f"{self.path}: {name}: expected intact HDF5, got other content; download it again"
             raise UserError(message) from error
+
+
+@dataclass(frozen=True)
+class _Contents:
+    """Reads the encoded images at the paths ``paths`` of a file."""
+
+    file: Hdf5File
+    paths: tuple[str, ...]
+
+    def __call__(self, index: int) -> bytes:
+        return self.file.content(self.paths[index])
 
 
 def read_in_child(path: str, method: str, name: str, *arguments: Any) -> Any:

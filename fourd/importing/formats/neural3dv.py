@@ -47,15 +47,15 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Read the cameras of ``source``. Row i of the array in poses_bounds.npy belongs to video
-    i, in the order of the videos' names.
+    """Read the cameras of ``source``. Row i of the array in poses_bounds.npy belongs to video i, in the alphabetical
+    order of the videos' names, as in LLFF's programs (cam10 before cam2).
 
     Raises:
         UserError: when the file does not contain an array of N x 17 numbers, or the numbers of videos and rows differ.
     """
     path = source / NAME
     rows = _rows(path)
-    frames = find_frames(source)
+    frames = dict(sorted(find_frames(source).items()))
     if len(frames) != len(rows):
         raise UserError(
             f"{path}: expected {len(frames)} rows, one for each video ({', '.join(frames)}), got {len(rows)}; "
@@ -68,7 +68,7 @@ def read(source: Path) -> Imported:
     notes = (
         "lengths are kept; the unit of length is unknown",
         "camera axes are converted from down, right, backwards to right, down, forward (OpenCV)",
-        "rows belong to the videos in the order of video names; near and far bounds are ignored",
+        "rows belong to the videos in the alphabetical order of video names; near and far bounds are ignored",
     )
     return Imported(cameras, notes)
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from fourd.cameras import Camera
 from fourd.capture.decoding import picture_size
-from fourd.capture.layout import PICTURE_SUFFIXES
+from fourd.capture.layout import PICTURE_SUFFIXES, frame_name
 from fourd.errors import UserError
 from fourd.importing.folders import Array, make_camera, parse_numbers, read_file
 from fourd.importing.imported import Imported, ImportedCamera, PictureFiles
@@ -75,7 +75,7 @@ def read(source: Path) -> Imported:
 
     Raises:
         UserError: when the JSON is invalid, a value is missing or invalid, a lens is a fisheye, a path is outside the
-            folder or has no image, or a camera lacks an image at a time at which another camera has one.
+            folder or has no image, or a camera has two images at the same time.
     """
     path = _json_path(source)
     try:
@@ -93,11 +93,14 @@ def read(source: Path) -> Imported:
             "add the missing times"
         )
     masked = sum(entry.mask is not None for entry in entries)
+    times = sorted({entry.time or 0.0 for entry in entries})
+    name_at = {time: frame_name(index) for index, time in enumerate(times)}
     cameras = []
     for name, group in (_by_camera(path, entries) if timed else _single(path, entries)).items():
+        names = tuple(name_at[entry.time or 0.0] for entry in group)
         masks = tuple(entry.mask for entry in group if entry.mask is not None)
-        mattes = PictureFiles(masks) if masked == len(entries) else None
-        frames = PictureFiles(tuple(entry.picture for entry in group))
+        mattes = PictureFiles(masks, names) if masked == len(entries) else None
+        frames = PictureFiles(tuple(entry.picture for entry in group), names)
         cameras.append(ImportedCamera(name, group[0].camera, frames, mattes))
     notes = [
         "lengths are kept; the unit of length is unknown",
@@ -251,7 +254,7 @@ def _find_picture(path: Path, where: str, value: object) -> tuple[PurePosixPath,
         found = target.with_name(target.name + suffix)
         if found.suffix.lower() in PICTURE_SUFFIXES and os.path.isfile(found):
             return relative, found
-    raise UserError(f"{where}: expected a JPEG or PNG at {target}, got none; restore it or remove the entry")
+    raise UserError(f"{where}: expected an image at {target}, got none; restore it or remove the entry")
 
 
 def _single(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
@@ -283,15 +286,13 @@ def _by_camera(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
         cameras = dict(zip(names, folders.values(), strict=True))
     else:
         cameras = {f"{index:02d}": group for index, group in enumerate(poses.values())}
-    first = next(iter(cameras))
     for name, group in cameras.items():
         group.sort(key=lambda entry: entry.time or 0.0)
         times = [entry.time for entry in group]
-        if len(set(times)) != len(times) or times != [entry.time for entry in cameras[first]]:
+        if len(set(times)) != len(times):
             raise UserError(
-                f"{path}: expected static cameras with the same times, each time once, got {len(set(times))} different "
-                f"times in {len(times)} images of '{name}' and {len(cameras[first])} images of '{first}'; "
-                "remove the entries at times that other cameras lack"
+                f"{path}: expected static cameras with each time once, got {len(set(times))} different times in "
+                f"{len(times)} images of '{name}'; remove the entries that repeat a time"
             )
     return cameras
 

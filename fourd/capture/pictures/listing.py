@@ -1,0 +1,44 @@
+"""Lists the images and masks of a capture by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from fourd.capture.layout import camera_folders, find_pictures
+from fourd.capture.pictures.moments import match_frames, match_masks
+from fourd.errors import UserError
+
+
+def list_images(folder: Path, names: Sequence[str]) -> dict[str, dict[str, str]]:
+    """List the image files of the cameras ``names`` in the folder images/.
+
+    The frames are those of :func:`~fourd.capture.pictures.moments.match_frames` for all cameras in the folder, so that
+    the names of the frames do not depend on the selected cameras.
+
+    Returns:
+        For each camera, a dictionary from frame names to file names.
+
+    Raises:
+        UserError: if two files of a camera in ``names`` belong to the same frame.
+    """
+    found = {name: find_pictures(folder / name) for name in names}
+    for name in camera_folders(folder):
+        if name not in found:
+            # Errors in the folders of cameras that are not selected do not matter.
+            with suppress(UserError):
+                found[name] = find_pictures(folder / name)
+    matched = match_frames({name: files for name, files in found.items() if files})
+    return {name: {frame: found[name][stem] for frame, stem in matched.get(name, {}).items()} for name in names}
+
+
+def list_masks(folder: Path, frames: Sequence[str]) -> dict[str, str]:
+    """List the mask files in a camera's folder, keyed by frame name; see
+    :func:`~fourd.capture.pictures.moments.match_masks`.
+
+    Raises:
+        UserError: if two files belong to the same frame.
+    """
+    found = find_pictures(folder)
+    return {frame: found[stem] for frame, stem in match_masks(found, frames).items()}
