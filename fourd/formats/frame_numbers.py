@@ -48,8 +48,8 @@ def varying_numbers_of(stems: Mapping[str, Sequence[str]]) -> dict[str, list[int
 
 
 def varying_numbers(stems: Sequence[str]) -> list[int] | None:
-    """Return the number that varies in a list of file names, or None if no number or more than one number varies, or
-    two names have the same number."""
+    """Return the number that varies in a list of file names. None unless exactly one varies and it differs between all
+    names."""
     found = varying_numbers_of({"": stems})
     return None if found is None else found[""]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -139,8 +139,7 @@ def import_source(
         indices = _read_indices(imported, out, options, track)
         _write(imported, indices, out, options, before.offsets, track, with_calibration=False)
         log("the import with these options already exists; no file is changed")
-        for line in before.warnings:
-            warn(line)
+        _warn_all(before.warnings, warn)
         return
     started = before or ImportRecord(str(resolved(source)), source_format.name, "", files, {}, {}, False, False, ())
     record = replace(started, calibration=calibration, options=asked, done=False, warnings=())
@@ -151,7 +150,7 @@ def import_source(
     estimate = _estimate(imported, indices, out, options, log, track)
     offsets = applied_offsets(estimate, options.offsets, options.apply_sync)
     imported = _match_calibrations(imported, indices, options, log, track)
-    warnings += [] if needs_calibration else equal_poses(imported.cameras)
+    warnings += () if needs_calibration else equal_poses(imported.cameras)
     imported = _calibrate(imported, indices, offsets, options, needs_calibration, log, warnings.append, track)
     if estimate is not None:
         estimate = _correct_estimate(estimate, imported, source_format, options, log)
@@ -162,9 +161,13 @@ def import_source(
     notes = _write(imported, indices, out, options, offsets, track, with_calibration=True)
     for line in (*notes, *_describe_mattes(out)):
         log(line)
-    for line in warnings:
-        warn(line)
+    _warn_all(warnings, warn)
     write_record(out, replace(record, done=True, warnings=tuple(warnings)))
+
+
+def _warn_all(lines: Sequence[str], warn: Log) -> None:
+    for line in lines:
+        warn(line)
 
 
 def _correct_estimate(

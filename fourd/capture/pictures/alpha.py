@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -9,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture.decoding import decode_alpha, read_header, without_alpha
-from fourd.capture.layout import camera_folders, find_pictures, sample_indices
+from fourd.capture.layout import PICTURE_SUFFIXES, camera_folders, find_pictures, sample_indices
 
 Picture = NDArray[np.uint8]
 
+ALPHA_SUFFIXES = tuple(suffix for suffix in PICTURE_SUFFIXES if suffix not in (".jpg", ".jpeg"))
 SAMPLES = 3
 """Number of images per camera that are examined for transparent pixels."""
 ALPHA_NOTE = "the alpha channel of the images is the matte; hidden colours are not used"
@@ -37,6 +39,9 @@ def has_alpha_channel(path: Path) -> bool:
 
 
 def _has_holes(folder: Path) -> bool:
+    with os.scandir(folder) as entries:
+        if not any(os.path.splitext(entry.name)[1].lower() in ALPHA_SUFFIXES for entry in entries):
+            return False
     files = list(find_pictures(folder).values())
     if not files or not has_alpha_channel(folder / files[0]):
         return False
