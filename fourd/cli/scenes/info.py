@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
-from fourd.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES
+from fourd.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES, camera_folders
 from fourd.cli.locations import PATH_OR_URL, scene_or_copy
 from fourd.cli.outputs import READS
 from fourd.errors import UserError, command_line
@@ -343,13 +343,11 @@ def _capture(path: Path) -> Rows:
 
 
 def _cameras_in(images: Path) -> list[str]:
-    if not images.is_dir():
-        return []
-    return sort_names(
-        folder.name
-        for folder in images.iterdir()
-        if folder.is_dir() and any(file.suffix.lower() in PICTURE_SUFFIXES for file in folder.iterdir())
-    )
+    return [
+        name
+        for name in camera_folders(images)
+        if any(Path(file).suffix.lower() in PICTURE_SUFFIXES for file in list_folder(images / name))
+    ]
 
 
 def _parsed(text: bytes, parse: Callable[[bytes], Any], damaged: UserError) -> dict[str, Any]:
