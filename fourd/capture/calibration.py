@@ -107,10 +107,16 @@ def read_calibration(folder: Path | str) -> dict[str, Calibration]:
             finite, a rotation matrix is not orthonormal, or no camera has values in both files. The message contains
             the file and the key.
     """
+    return require_calibration(folder).calibrations
+
+
+def require_calibration(folder: Path | str) -> CalibrationReport:
+    """Read the calibrations like :func:`read_calibration`, with the cameras that were left out. Raises the same
+    errors."""
     report = check_calibration(folder)
     if report.errors:
         raise report.errors[0]
-    return report.calibrations
+    return report
 
 
 def check_calibration(folder: Path | str) -> CalibrationReport:

@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from fourd.cameras import Camera, describe_equal_positions
-from fourd.capture.calibration import Calibration, check_calibration
+from fourd.capture.calibration import Calibration, CalibrationReport, check_calibration
 from fourd.capture.checks.damage import Skipped, decode_pictures
 from fourd.capture.checks.mattes import MatteTally
 from fourd.capture.checks.pictures import OrientationCheck, describe_gaps
@@ -137,7 +137,7 @@ class _Check:
         calibrations = calibration.calibrations
         images_folder, masks_folder = self.path / "images", self._masks_folder()
         has_videos = not camera_folders(images_folder) and (self.path / VIDEOS).is_dir()
-        names = self._camera_names(calibration.names, has_videos)
+        names = self._camera_names(calibration, has_videos)
         images: Mapping[str, dict[str, str] | None] = {}
         if has_videos:
             frames = self._video_frames(names, calibrations)
@@ -200,11 +200,12 @@ class _Check:
         has_own = bool(camera_folders(self.path / "masks")) or not (self.path / MATTES).is_dir()
         return self.path / ("masks" if has_own else MATTES)
 
-    def _camera_names(self, calibrated: Sequence[str], has_videos: bool) -> list[str]:
+    def _camera_names(self, calibration: CalibrationReport, has_videos: bool) -> list[str]:
         folder = VIDEOS if has_videos else "images"
         found = camera_folders(self.path / folder)
         if has_videos:
             found = list(self._try(find_videos, self.path / folder) or {})
+        calibrated, found = calibration.names, [name for name in found if name not in calibration.incomplete]
         if not found:
             self.problems.append(
                 f"{self.path / folder}: expected {'a video' if has_videos else 'a folder of images'} for each camera, "

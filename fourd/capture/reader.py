@@ -14,7 +14,7 @@ from cachetools import LRUCache
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera
-from fourd.capture.calibration import Calibration, read_calibration
+from fourd.capture.calibration import Calibration, CalibrationReport, require_calibration
 from fourd.capture.camera_frames import CameraFrames, Footage, Picture, PictureFrames, VideoFrames
 from fourd.capture.decoding import read_header
 from fourd.capture.frame_rate import read_rate
@@ -204,8 +204,8 @@ def open_capture(
     if not path.is_dir():
         got = "a file" if path.exists() else "no such folder"
         raise UserError(f"{path}: expected a capture's folder, got {got}; check the path")
-    calibrations = read_calibration(path)
-    names = _select_cameras(path, calibrations, views)
+    report = require_calibration(path)
+    names, calibrations = _select_cameras(path, report, views), report.calibrations
     if camera_folders(path / "images"):
         images, rate = list_images(path / "images", names), read_rate(path)
         all_frames = picture_frame_names(path, images)
@@ -263,8 +263,8 @@ def _open_video(video: Video, selected: range) -> Footage:
     return Footage(images, None, (video.index.width, video.index.height))
 
 
-def _select_cameras(path: Path, calibrations: dict[str, Calibration], views: Sequence[str] | None) -> list[str]:
-    """Return the names of the selected cameras.
+def _select_cameras(path: Path, calibration: CalibrationReport, views: Sequence[str] | None) -> list[str]:
+    """Return the names of the selected cameras, without those of which one calibration file has no values.
 
     Raises:
         UserError: if a selected camera has no calibration, or has no images and no video.
@@ -273,8 +273,8 @@ def _select_cameras(path: Path, calibrations: dict[str, Calibration], views: Seq
     folder = "images"
     if not found and (path / VIDEOS).is_dir():
         found, folder = list(find_videos(path / VIDEOS)), VIDEOS
-    all_names = list(calibrations) + [name for name in found if name not in calibrations]
-    names = select_views(views, all_names)
+    calibrations, left_out = calibration.calibrations, calibration.incomplete
+    names = select_views(views, [*calibrations, *(name for name in found if name not in {**calibrations, **left_out})])
     for name in names:
         if name not in calibrations:
             raise UserError(

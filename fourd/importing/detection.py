@@ -112,13 +112,13 @@ def pick_format(name: str | None, source: Path) -> Format:
     found = find_layout(source, [each for each in CALIBRATION_FORMATS if name in (None, each.name)])
     if isinstance(found, Layout):
         return replace(by_name[found.format.name], read=found.read)
+    if isinstance(found, Frames) and name is None:
+        return replace(by_name[VIDEOS], read=lambda _: _read_videos(source, found))
+    lonely = find_calibration(source, [each for each in CALIBRATION_FORMATS if name in (None, each.name)])
+    if lonely is not None and found is None:
+        raise UserError(_without_frames(source, *lonely))
     if name is not None:
         return by_name[name]
-    if isinstance(found, Frames):
-        return replace(by_name[VIDEOS], read=lambda _: _read_videos(source, found))
-    lonely = find_calibration(source, CALIBRATION_FORMATS)
-    if lonely is not None:
-        raise UserError(_without_frames(source, *lonely))
     refused = describe_refused(source, CALIBRATION_FORMATS)
     raise UserError(
         f"{source}: expected {', or '.join(f'{each.summary} ({each.name})' for each in FORMATS)}, "

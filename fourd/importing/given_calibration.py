@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.capture.calibration import check_calibration
+from fourd.capture.calibration import require_calibration
 from fourd.errors import UserError
 from fourd.importing.folders import match_names
 from fourd.importing.imported import Imported, ImportedCamera
@@ -45,9 +45,7 @@ def apply_calibration(imported: Imported, format_name: str, folder: Path) -> Imp
             f"--calibration: expected the format {VIDEOS_FORMAT}, got {format_name}, which has its own calibration; "
             f"name the format {VIDEOS_FORMAT}, or leave out --calibration"
         )
-    report = check_calibration(folder)
-    if report.errors:
-        raise report.errors[0]
+    report = require_calibration(folder)
     found = report.calibrations
     pairs = match_names(list(found), [camera.name for camera in imported.cameras], folder)
     cameras = []

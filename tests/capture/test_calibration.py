@@ -4,6 +4,7 @@ one of the two files contains are named.
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fourd.capture import open_capture
 from fourd.capture.calibration import (
     camera_name_problem,
     check_calibration,
@@ -21,6 +23,7 @@ from fourd.capture.calibration import (
     read_intrinsics,
     write_calibration,
 )
+from fourd.capture.check import check_capture
 from fourd.errors import UserError
 from tests.captures import ring_cameras
 
@@ -136,6 +139,25 @@ def test_cameras_of_one_file(listed: tuple[str, ...], tmp_path: Path) -> None:
     (tmp_path / "extri.yml").write_text(listing("4") + pose("4"))
     with pytest.raises(UserError, match=r"intri.yml: expected cameras that are in extri.yml too, got 1, 2, 3, 4"):
         read_calibration(tmp_path)
+
+
+@pytest.mark.parametrize("file", ["intri.yml", "extri.yml"])
+def test_captures_with_cameras_of_one_file(file: str, ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a folder of EasyMocap that cannot be used in place because one camera has no pose."""
+    capture = tmp_path / "capture"
+    shutil.copytree(ball_capture, capture)
+    calibrations = read_calibration(capture)
+    names = [name for name in calibrations if name != "06"]
+    whole = (capture / file).read_text()
+    write_calibration(capture, names, [calibrations[name].camera(64, 64) for name in names])
+    (capture / file).write_text(whole)
+    assert list(open_capture(capture).names) == names
+    with pytest.raises(UserError, match=r"expected camera names among .* got '06'"):
+        open_capture(capture, views=["06"])
+    report = check_capture(capture)
+    lacks = "pose" if file == "intri.yml" else "intrinsics"
+    assert not report.problems
+    assert f"{capture}: cameras without {lacks}, because only {file} has them, not used: 06" in report.warnings
 
 
 def test_files_that_were_written_by_hand(tmp_path: Path) -> None:

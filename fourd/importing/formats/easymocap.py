@@ -11,7 +11,13 @@ from pathlib import Path
 import av
 
 from fourd.cameras import Camera
-from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, Calibration, check_calibration, read_calibration
+from fourd.capture.calibration import (
+    EXTRINSICS_NAME,
+    INTRINSICS_NAME,
+    Calibration,
+    read_calibration,
+    require_calibration,
+)
 from fourd.capture.decoding import picture_size
 from fourd.capture.video import first_frame
 from fourd.errors import UserError
@@ -53,9 +59,7 @@ def read(source: Path, frames: Path | None = None) -> Imported:
     """
     folder = source.parent if source.name == INTRINSICS_NAME else source
     path, data = folder / INTRINSICS_NAME, frames or folder
-    report = check_calibration(folder)
-    if report.errors:
-        raise report.errors[0]
+    report = require_calibration(folder)
     calibrations = report.calibrations
     found_frames = find_frames(data, FRAME_FOLDERS, list(calibrations))
     pairs = match_names([*calibrations, *report.incomplete], found_frames, path)
