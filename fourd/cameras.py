@@ -21,6 +21,8 @@ limit angle. Let A be the largest angle of the cameras that are chosen as source
 angles of at least A are considered, and the limit angle is the smallest of their angles. If there is no such camera,
 the limit angle is FADE_MARGIN * A; see :func:`fading_weights`.
 """
+MAX_LISTED = 8
+"""Maximum number of cameras that a message lists."""
 EQUAL_POSITION = 1e-4
 """Two cameras have equal positions if their distance is at most this fraction of the largest distance between two
 cameras of the rig."""
@@ -274,9 +276,10 @@ def describe_equal_positions(cameras: Mapping[str, Camera]) -> list[str]:
         first, *others = sorted(each)
         same = all(np.allclose(views[first].rotation, views[other].rotation, atol=1e-4) for other in others)
         shown = [f"'{names[index]}'" for index in (first, *others)]
-        listed = f"{', '.join(shown[:-1])} and {shown[-1]}"
+        if len(shown) > MAX_LISTED:
+            shown[MAX_LISTED - 1 :] = [f"{len(shown) - MAX_LISTED + 1} more"]
         lines.append(
-            f"cameras {listed} have equal {'calibrations' if same else 'positions'}, so at least one of them is wrong; "
-            "calibrate them again, or check that no camera is listed twice"
+            f"cameras {', '.join(shown[:-1])} and {shown[-1]} have equal {'calibrations' if same else 'positions'}, so "
+            "at most one of them is right; calibrate these cameras again, or leave all but one out"
         )
     return lines

@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from fourd.capture.calibration import require_calibration
 from fourd.errors import UserError
 from fourd.importing.folders import match_names
-from fourd.importing.imported import Imported, ImportedCamera
+from fourd.importing.imported import Imported
 
-MAX_EQUAL = 1e-6
-"""Two poses are equal if their rotation matrices differ by at most this value, and their positions by at most this
-value times the size of the rig."""
-MAX_LISTED = 8
-"""Maximum number of cameras that a warning lists."""
 VIDEOS_FORMAT = "videos"
 """Name of the format of sources without a calibration. Only this format accepts --calibration."""
 REPORT = "report.json"
@@ -67,32 +59,3 @@ def apply_calibration(imported: Imported, format_name: str, folder: Path) -> Imp
     if unused:
         notes.append(f"cameras without images, not imported: {', '.join(unused)}")
     return replace(imported, cameras=tuple(cameras), notes=tuple(notes))
-
-
-def equal_poses(cameras: Sequence[ImportedCamera]) -> list[str]:
-    """Return a warning for each group of cameras with equal poses. One of the calibrations is probably a copy of the
-    other, under the name of another camera."""
-    known = [(camera.name, camera.calibration) for camera in cameras if camera.calibration is not None]
-    if not known:
-        return []
-    names = [name for name, _ in known]
-    centres = np.stack([camera.centre for _, camera in known])
-    rotations = np.stack([camera.rotation for _, camera in known])
-    intrinsics = np.stack([camera.intrinsics for _, camera in known])
-    tolerance = MAX_EQUAL * (float(np.linalg.norm(np.ptp(centres, axis=0))) or 1.0)
-    lines = []
-    seen: set[int] = set()
-    for first in range(len(names)):
-        is_same = np.linalg.norm(centres - centres[first], axis=1) <= tolerance
-        is_same &= np.abs(rotations - rotations[first]).max(axis=(1, 2)) <= MAX_EQUAL
-        group = np.nonzero(is_same)[0].tolist()
-        if len(group) > 1 and not seen.issuperset(group):
-            kind = "calibration" if np.allclose(intrinsics[group], intrinsics[first], rtol=MAX_EQUAL) else "pose"
-            listed = ", ".join(names[other] for other in group[:MAX_LISTED])
-            more = f" and {len(group) - MAX_LISTED} more" if len(group) > MAX_LISTED else ""
-            lines.append(
-                f"cameras {listed}{more} have the same {kind}, so at most one of them is right, and the others are "
-                "probably copies; calibrate these cameras again, or leave all but one out"
-            )
-        seen.update(group)
-    return lines

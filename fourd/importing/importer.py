@@ -22,7 +22,7 @@ from fourd.errors import UserError
 from fourd.files import remove_unfinished, resolved
 from fourd.importing.detection import Format
 from fourd.importing.frame_geometry import CalibratedFrames, match_calibrations, reduced_indices
-from fourd.importing.given_calibration import apply_calibration, equal_poses, is_metric_calibration
+from fourd.importing.given_calibration import apply_calibration, is_metric_calibration
 from fourd.importing.imported import Imported, VideoFile, video_files
 from fourd.importing.pictures.geometry import match_pictures
 from fourd.importing.pictures.moments import PairBy, align_pictures
@@ -150,7 +150,6 @@ def import_source(
     estimate = _estimate(imported, indices, out, options, log, track)
     offsets = applied_offsets(estimate, options.offsets, options.apply_sync)
     imported = _match_calibrations(imported, indices, options, log, track)
-    warnings += () if needs_calibration else equal_poses(imported.cameras)
     imported = _calibrate(imported, indices, offsets, options, needs_calibration, log, warnings.append, track)
     if estimate is not None:
         estimate = _correct_estimate(estimate, imported, source_format, options, log)

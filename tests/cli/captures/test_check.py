@@ -76,7 +76,7 @@ def test_equal_calibrations_are_named_by_import_and_check(capture: Path, capsys:
     cameras = {name: each.camera(64, 64) for name, each in read_calibration(capture).items()}
     cameras["05"] = cameras["02"]
     write_calibration(capture, list(cameras), list(cameras.values()))
-    named = "cameras '02' and '05' have equal calibrations, so at least one of them is wrong"
+    named = "cameras '02' and '05' have equal calibrations, so at most one of them is right"
     assert f"warning: {named}" in printed(capsys, 0, "import", capture, capture.parent / "out")
     output = printed(capsys, 0, "check", capture)
     assert named in output
