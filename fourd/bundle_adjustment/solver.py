@@ -82,9 +82,9 @@ def solve(
         system = _System.at(state, given, tracks, prior, scale_px)
         gain = 0.0
         for _ in range(8):
-            trial = system.step(state, damping)
-            after = _cost(trial, given, tracks, prior, scale_px)
-            if after < cost:
+            trial = _try_step(system, state, damping)
+            after = np.inf if trial is None else _cost(trial, given, tracks, prior, scale_px)
+            if trial is not None and after < cost:
                 gain = (cost - after) / cost
                 state, cost, damping = trial, after, max(damping / 10, 1e-9)
                 break
@@ -92,6 +92,15 @@ def solve(
         if gain < MIN_RELATIVE_DECREASE:
             break
     return state.cameras, state.xyz
+
+
+def _try_step(system: _System, state: _State, damping: float) -> _State | None:
+    """Return the state after a step, or None if the normal equations are singular or the step is not finite. A step
+    with more damping can then succeed."""
+    try:
+        return system.step(state, damping)
+    except (np.linalg.LinAlgError, ValueError, cv2.error):
+        return None
 
 
 def reprojection_errors_px(tracks: Observations, cameras: Sequence[Camera], xyz: Array) -> Array:

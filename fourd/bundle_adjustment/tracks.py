@@ -18,6 +18,8 @@ Index = NDArray[np.intp]
 Pair = tuple[int, int]
 
 MIN_ANGLE_DEG = 2.0
+MIN_DETERMINANT = 1e-8
+"""Minimum determinant of the sum of a track's projectors, if the track determines a point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +138,8 @@ def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple
     count = np.bincount(tracks.point, minlength=tracks.points)
     mean_length = np.linalg.norm(sums, axis=1) / np.maximum(count, 1)
     is_wide = mean_length < np.cos(np.radians(MIN_ANGLE_DEG) / 2)
+    # The rays of two cameras that face each other span 180 degrees, and do not determine the point either.
+    is_wide &= np.linalg.det(normal) > MIN_DETERMINANT
     normal[~is_wide] = np.eye(3)
     return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0], np.float64), np.asarray(is_wide)
 

@@ -33,6 +33,9 @@ both axes.
 This rejects patches on a straight edge, because their correlation stays high along the edge.
 """
 MIN_CONTRAST = 6.0
+MIN_HEIGHT = 1e-3
+"""Minimum distance of a camera from the plane, as a fraction of the patch's width. A camera in the plane sees it as a
+line."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,10 @@ class PlanePatch:
     width: float
     height: float
     resolution: float
+
+    def height_of(self, camera: Camera) -> float:
+        """Return the signed distance of the camera's centre from the plane, in world units."""
+        return float((camera.centre - self.corner) @ np.cross(self.right, self.down))
 
     @property
     def size(self) -> tuple[int, int]:
@@ -87,6 +94,8 @@ def match_on_plane(
         window around each feature is compared with the second rectified image by normalized cross-correlation. The
         feature is matched if the correlation has one distinct peak.
     """
+    if any(abs(patch.height_of(camera)) < MIN_HEIGHT * patch.width for camera in cameras):
+        return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
     (raster, valid), (other, other_valid) = (
         _rectify(picture, camera, patch) for picture, camera in zip((first, second), cameras, strict=True)
     )

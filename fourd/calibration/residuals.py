@@ -209,7 +209,11 @@ def _camera_residuals(
     base_weights = np.sqrt([min(counts[pair], 100) for pair in pairs])
     weights, solution = base_weights, np.zeros(cameras)
     for _ in range(20):
-        solution, _ = nnls(weights[:, None] * design, weights * squares)
+        try:
+            solution, _ = nnls(weights[:, None] * design, weights * squares)
+        except RuntimeError:
+            # The iteration of SciPy can fail to end. The previous solution is then the result.
+            break
         error = np.abs(design @ solution - squares)
         weights = base_weights / np.sqrt(np.maximum(error, 1e-3 * max(float(squares.max()), 1e-12)))
     return tuple(float(np.sqrt(solution[i])) if design[:, i].any() else None for i in range(cameras))
