@@ -42,7 +42,7 @@ def test_truncated_images_are_found_without_an_option(
     content = path.read_bytes()
     path.write_bytes(content[:-missing] + bytes(missing) * is_zero)
     output = printed(capsys, 2, "check", capture)
-    assert f"fourd check: {path}: expected a complete JPEG or PNG image, got " in output
+    assert f"fourd check: {path}: expected a complete JPEG, " in output
     assert "Good to use" not in output
 
 
@@ -51,7 +51,7 @@ def test_truncated_masks_are_found(capture: Path, capsys: pytest.CaptureFixture[
     for path in list((capture / "masks").glob("*/000001.png")):
         content = path.read_bytes()
         path.write_bytes(content[: len(content) // 2])
-    assert "expected a complete JPEG or PNG image" in printed(capsys, 2, "check", capture)
+    assert "expected a complete JPEG" in printed(capsys, 2, "check", capture)
 
 
 @pytest.mark.parametrize("words", ["check", "carve", "train --out run --max-steps 1", "make -o scene.4dv"])
