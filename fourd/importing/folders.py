@@ -184,7 +184,8 @@ def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Pa
 
     The first of these rules that gives a match is used:
     - the names are equal, whether accented letters are composed or decomposed;
-    - the last numbers in the names are equal. This rule is used only if all calibrations have different last numbers;
+    - the numbers of the cameras are equal. The number of a camera is the only number that differs between the names, or
+      else the last number of its name. This rule is used only if all calibrations have different numbers;
     - the camera's name ends with a separator, optionally "cam", and the calibration's name, as in
       2019-08-02-vid01-camA for the calibration A.
 
@@ -199,9 +200,9 @@ def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Pa
     composed = {name: unicodedata.normalize("NFC", name) for name in names}
     pairs = {name: by_text[text] for name, text in composed.items() if text in by_text}
     if not pairs:
-        by_number = {_last_number(name): name for name in calibrated if _last_number(name) is not None}
+        by_number = {number: name for name, number in _camera_numbers(calibrated).items()}
         if len(by_number) == len(calibrated):
-            pairs = {name: by_number[_last_number(name)] for name in names if _last_number(name) in by_number}
+            pairs = {name: by_number[number] for name, number in _camera_numbers(names).items() if number in by_number}
         if len(set(pairs.values())) != len(pairs):
             pairs = {}
     if not pairs:
@@ -310,7 +311,12 @@ def _starts_with(name: str, camera: str) -> bool:
     return re.match(rf"{re.escape(camera)}(?:$|[-_. ])", name) is not None
 
 
-def _last_number(name: str) -> int | None:
-    """Return the last number in a name, or None for a name without digits."""
-    digits = re.findall(r"\d+", name)
-    return int(digits[-1]) if digits else None
+def _camera_numbers(names: Sequence[str]) -> dict[str, int]:
+    """Return the numbers of cameras, keyed by name: the only number that differs between the names, if there is one, or
+    else the last number in each name. Names without digits are left out."""
+    runs = {name: re.findall(r"\d+", name) for name in names}
+    if len({re.sub(r"\d+", "0", name) for name in names}) == 1:
+        differs = [len({int(number) for number in column}) > 1 for column in zip(*runs.values(), strict=True)]
+        if differs.count(True) == 1:
+            return {name: int(numbers[differs.index(True)]) for name, numbers in runs.items()}
+    return {name: int(numbers[-1]) for name, numbers in runs.items() if numbers}

@@ -6,7 +6,6 @@ coordinates is the corner of the first pixel, as in fourd.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -98,8 +97,8 @@ def read(source: Path) -> Imported:
 
 
 def _read_cameras(path: Path) -> dict[str, _ModelCamera]:
-    """Read a model folder. Returns the cameras, keyed by name. A camera is named after its folder, or after the whole
-    path of its folder if another folder has the same name.
+    """Read a model folder. Returns the cameras, keyed by name. Cameras are named after their folders, or after the
+    whole paths of their folders if two folders have the same name.
 
     Raises:
         UserError: when the model is damaged or has no image with a pose, a lens model is not one of LENS_MODELS, a
@@ -116,14 +115,14 @@ def _read_cameras(path: Path) -> dict[str, _ModelCamera]:
     for index, file in enumerate(files):
         images.setdefault(file if file.parent in roots else file.parent, []).append(index)
     all_files = set(files)
-    last_names = Counter(_label(key, key in all_files) for key in images)
+    has_unique_names = len({_label(key, key in all_files) for key in images}) == len(images)
     centres = np.array([-photo.pose[:, :3].T @ photo.pose[:, 3] for photo in photos])
     size = float(np.linalg.norm(np.ptp(centres, axis=0)))
     cameras: dict[str, _ModelCamera] = {}
     for key, indices in images.items():
         is_photo = key in all_files
         name = _label(key, is_photo)
-        name = name if last_names[name] == 1 else "_".join((*key.parts[:-1], name))
+        name = name if has_unique_names else "_".join((*key.parts[:-1], name))
         where = f"{path}: camera '{name}'"
         if name in cameras:
             raise UserError(f"{where}: expected each camera once, got two images or folders with this name; rename one")
@@ -204,9 +203,9 @@ def _unnamed(base: Path, cameras: Mapping[str, _ModelCamera]) -> list[str]:
     photos, folders = [], []
     for path in (folder / entry for folder in sorted(beside) for entry in list_entries(folder)):
         if path.suffix.lower() in PICTURE_SUFFIXES and path not in named and not path.name.startswith("."):
-            photos.append(path.name)
+            photos.append(path.relative_to(base).as_posix())
         elif path not in above and not path.name.startswith(".") and _has_pictures(path):
-            folders.append(path.name)
+            folders.append(path.relative_to(base).as_posix())
     return [
         f"{kind} that the model does not name, not imported: {', '.join(names[:MAX_SHOWN])}"
         + (f" and {len(names) - MAX_SHOWN} more" if len(names) > MAX_SHOWN else "")

@@ -269,8 +269,8 @@ def test_any_names_are_found(write: Callable[..., None], tmp_path: Path, rng: np
     for name in names:
         write_pictures((tmp_path / "images" / name).parent, [Path(name).name])
     cameras = {camera.name: camera for camera in read(tmp_path).cameras}
-    assert set(cameras) == {"a_cam 1 (left)", "b_cam 1 (left)", "c#2", "左"}
-    for name, original in zip(("a_cam 1 (left)", "b_cam 1 (left)", "c#2", "左"), originals, strict=True):
+    assert set(cameras) == {"a_cam 1 (left)", "b_cam 1 (left)", "a_c#2", "左"}
+    for name, original in zip(("a_cam 1 (left)", "b_cam 1 (left)", "a_c#2", "左"), originals, strict=True):
         assert_same_view(cameras[name].calibration, expected_camera(original, "OPENCV"), rng)
         assert len(file_names(cameras[name].frames)) == 1
 
