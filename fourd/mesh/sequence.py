@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 
 from fourd.cameras import Array, estimate_up
@@ -39,24 +41,28 @@ DEFAULT_FPS = 30.0
 """Frame rate of the animation if the capture's frame rate is unknown."""
 
 
-def mesh_capture(capture: Capture, folder: Path, settings: MeshSettings, track: Track = untracked) -> list[Path]:
+def mesh_capture(
+    capture: Capture, folder: Path, settings: MeshSettings, track: Track = untracked, *, force: bool = False
+) -> list[Path]:
     """Make one mesh for each frame of a capture. Write the files FRAME.glb and animation.glb, or FRAME.ply.
 
     FRAME is the six-digit number of the frame in the capture. Files are written atomically, and memory does not grow
     with the number of frames. If neither the capture nor the settings changed since the last call, finished meshes are
-    kept; otherwise all are made again.
+    kept.
 
     Args:
         capture: cameras, images and mattes, without held-out views.
         folder: output folder, created if missing.
         settings: settings of the grid, the texture and the fit.
         track: callback that reports progress.
+        force: whether to replace meshes that were made from other files or with other settings.
 
     Returns:
         the frames' files, in temporal order.
 
     Raises:
-        UserError: if the capture has no mattes, a frame's hull is empty, or a file cannot be written.
+        UserError: if the capture has no mattes, a frame's hull is empty, or a file cannot be written. Also if the
+            folder has meshes that were made from other files or with other settings, without ``force``.
     """
     if not capture.has_masks:
         raise UserError(
@@ -68,7 +74,7 @@ def mesh_capture(capture: Capture, folder: Path, settings: MeshSettings, track: 
     try:
         folder.mkdir(parents=True, exist_ok=True)
         remove_unfinished(folder)
-        _remove_stale(folder, _key(capture, settings))
+        _remove_stale(folder, _key(capture, settings), settings, force)
         up = estimate_up(capture.cameras)
         for frame in track(range(len(paths)), len(paths), "meshes"):
             if not paths[frame].exists():
@@ -120,16 +126,48 @@ def _key(capture: Capture, settings: MeshSettings) -> str:
     return hashlib.sha256(f"{VERSION} {capture.fps} {settings_key(capture, settings)}".encode()).hexdigest()
 
 
-def _remove_stale(folder: Path, key: str) -> None:
-    """Remove the meshes and the animation in ``folder`` if they were made with another key, and store the new key."""
+def _remove_stale(folder: Path, key: str, settings: MeshSettings, force: bool) -> None:
+    """Remove the meshes and the animation in ``folder`` if they were made with another key, and store the new key.
+
+    Raises UserError if there are such meshes and ``force`` is false, or if fourd did not make them.
+    """
     state = folder / STATE_NAME
     try:
-        known = read_json(state)["key"]
-    except (FileNotFoundError, ValueError, KeyError, TypeError):
+        known = read_json(state)
+    except (FileNotFoundError, ValueError):
         known = None
-    if known == key:
+    if isinstance(known, dict) and known.get("key") == key:
         return
-    for pattern in ("[0-9]" * 6 + ".glb", "[0-9]" * 6 + ".ply", ANIMATION_NAME):
-        for path in folder.glob(pattern):
-            path.unlink()
-    write_text_atomically(state, json.dumps({"version": VERSION, "key": key}, indent=1) + "\n")
+    patterns = ("[0-9]" * 6 + ".glb", "[0-9]" * 6 + ".ply", ANIMATION_NAME)
+    found = sorted(path for pattern in patterns for path in folder.glob(pattern))
+    if found and not isinstance(known, dict):
+        raise UserError(
+            f"{folder}: expected a new folder or meshes of fourd mesh, got other files such as {found[0].name}; name "
+            "another folder"
+        )
+    values = _flat(asdict(settings))
+    if found and not force:
+        old = known.get("settings") if isinstance(known, dict) else None
+        changes = _changes(old, values) if isinstance(old, dict) else []
+        raise UserError(
+            f"{folder}: expected meshes of these files and settings, got {len(found)} files that were made with others"
+            f"{f' ({changes[0]})' if changes else ''}; name another folder, or add --force to replace them"
+        )
+    for path in found:
+        path.unlink()
+    content = {"version": VERSION, "key": key, "settings": values}
+    write_text_atomically(state, json.dumps(content, indent=1) + "\n")
+
+
+def _flat(values: Mapping[str, object]) -> dict[str, object]:
+    """Join the names of nested settings by dots."""
+    flat: dict[str, object] = {}
+    for name, value in values.items():
+        inner = _flat(value) if isinstance(value, dict) else {}
+        flat |= {f"{name}.{key}": item for key, item in inner.items()} or {name: value}
+    return flat
+
+
+def _changes(old: Mapping[str, object], new: Mapping[str, object]) -> list[str]:
+    """Describe the settings that differ, one text for each."""
+    return [f"{name.replace('_', ' ')}: {old.get(name)} -> {new[name]}" for name in new if old.get(name) != new[name]]

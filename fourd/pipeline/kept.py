@@ -84,7 +84,7 @@ def keep_run(run: Path, shared: Iterable[str]) -> Path:
     shutil.rmtree(copy, ignore_errors=True)
     for name in shared:
         if (run / name).is_dir():
-            shutil.copytree(run / name, copy / name, symlinks=True, copy_function=_link)
+            copy_linked(run / name, copy / name)
     os.replace(run, target)
     if copy.exists():
         os.replace(copy, run)
@@ -150,6 +150,12 @@ def _set_capture(config: Path, capture: Path) -> None:
     content = load_overlay(RunConfig(), config)
     if content.capture != resolved(capture):
         save_config(replace(content, capture=resolved(capture)), config)
+
+
+def copy_linked(folder: Path, copy: Path) -> None:
+    """Create the folder ``copy`` with hard links to the files of ``folder``. Where the file system has no hard links,
+    the files are copied."""
+    shutil.copytree(folder, copy, symlinks=True, copy_function=_link)
 
 
 def _link(source: str, target: str) -> None:

@@ -110,7 +110,8 @@ def test_the_calibration_is_replaced_as_a_whole(
     (out / "notes.txt").write_text("mine")
     assert "a folder with other files; name another folder" in refused(capsys, *words)
     assert (out / "notes.txt").read_text() == "mine"
-    assert [path.name for path in tmp_path.iterdir()] == ["calibration"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["calibration", "calibration.1"]
+    assert (tmp_path / "calibration.1" / "extri.yml").read_bytes() == before
 
 
 @pytest.mark.parametrize(

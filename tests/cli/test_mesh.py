@@ -55,7 +55,9 @@ def test_held_out_views_are_scored(made: Path, capsys: pytest.CaptureFixture[str
     assert scores["mean"]["psnr"] > 18
 
 
-def test_finished_frames_are_kept_and_new_settings_replace_them(capture: Path, made: Path, tmp_path: Path) -> None:
+def test_finished_frames_are_kept_and_new_settings_replace_them(
+    capture: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Catches a resumed command that makes finished frames again, or that keeps frames of other settings."""
     out = tmp_path / "meshes"
     shutil.copytree(made, out)
@@ -66,8 +68,25 @@ def test_finished_frames_are_kept_and_new_settings_replace_them(capture: Path, m
     assert main([*words, *SMALL]) == 0
     assert (out / "000000.glb").stat().st_mtime_ns == before
     assert (out / "animation.glb").read_bytes() == (made / "animation.glb").read_bytes()
-    assert main([*words, *SMALL, "--steps", "0"]) == 0
+    capsys.readouterr()
+    assert main([*words, *SMALL, "--steps", "0"]) == 2
+    error = capsys.readouterr().err
+    assert "expected meshes of these files and settings, got 3 files that were made with others (fit.steps: " in error
+    assert (out / "000000.glb").stat().st_mtime_ns == before
+    assert main([*words, *SMALL, "--steps", "0", "--force"]) == 0
     assert (out / "000000.glb").stat().st_mtime_ns != before
+
+
+def test_other_meshes_are_not_replaced(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches meshes or points of the user that fourd mesh or fourd carve deletes, because of their names."""
+    for command in ("mesh", "carve"):
+        (tmp_path / command).mkdir()
+        mine = tmp_path / command / "000000.ply"
+        mine.write_text("mine")
+        assert main([command, str(capture), "-o", str(mine.parent)]) == 2
+        assert "expected a new folder or" in (error := capsys.readouterr().err)
+        assert "got other files such as 000000.ply; name another folder" in error
+        assert mine.read_text() == "mine"
 
 
 def test_remeshing_gives_fewer_triangles(

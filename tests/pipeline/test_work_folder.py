@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,9 +12,12 @@ import pytest
 from rich.console import Console
 
 from fourd.errors import UserError
+from fourd.matting.output import MatteState
+from fourd.matting.sequence import MatteSettings
 from fourd.pipeline.kept import keep_run, kept_folders
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Context, Leftovers, Stage
+from fourd.pipeline.stages import mattes
 from fourd.storage import parse_location
 
 
@@ -159,3 +163,40 @@ def test_a_folder_belongs_to_one_scene(other: str, tmp_path: Path, monkeypatch: 
         Runner(Context(), work / "stages.json").claim(parse_location(other))
     scene.rename("gone.4dv")
     Runner(Context(), work / "stages.json").claim(Path("gone.4dv"))
+
+
+def test_mattes_that_were_corrected_by_hand_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches mattes that are replaced without a word after a change of a file, although the user has edited them."""
+    made = ["first"]
+
+    def make_mattes(selection: object, settings: object, workers: int, track: object) -> int:
+        """Stands for the stage: it replaces the mattes if their key has changed."""
+        if MatteState.read(tmp_path).key != made[-1]:
+            shutil.rmtree(folder, ignore_errors=True)
+            (folder / "00").mkdir(parents=True)
+            (folder / "00" / "000000.png").write_text(made[-1])
+            MatteState(made[-1], None).write(tmp_path)
+        return 0
+
+    folder = tmp_path / ".fourd" / "mattes"
+    (tmp_path / ".fourd").mkdir()
+    (tmp_path / ".fourd" / "mattes.png").write_text("")
+    monkeypatch.setattr(mattes, "make_mattes", make_mattes)
+    monkeypatch.setattr(mattes, "index_capture", lambda *_: None)
+    files, settings = mattes.MatteFiles(tmp_path), mattes.MatteStageSettings(None, None, MatteSettings())
+
+    def run() -> str:
+        text = io.StringIO()
+        mattes.run_mattes(files, settings, Context(Console(file=text, width=1000)))
+        return text.getvalue()
+
+    for _ in range(2):
+        assert "made again" not in run()
+    (folder / "00" / "000000.png").write_text("edited")
+    assert "made again" not in run()
+    made.append("second")
+    assert f"{folder}: made again, because settings or files have changed; the earlier mattes are kept as" in run()
+    assert (folder / "00" / "000000.png").read_text() == "second"
+    assert (tmp_path / ".fourd" / "mattes.1" / "00" / "000000.png").read_text() == "edited"
+    assert "made again" not in run()
+    assert sorted(path.name for path in folder.parent.iterdir()) == ["mattes", "mattes.1", "mattes.json", "mattes.png"]

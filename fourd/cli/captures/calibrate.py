@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -9,21 +12,24 @@ from typing import Annotated
 import tyro
 from rich.text import Text
 
-from fourd.board_calibration.calibrate import CalibrationSettings, calibrate_rig
+from fourd.board_calibration.calibrate import REPORT, CalibrationSettings, calibrate_rig, check_out
 from fourd.board_calibration.printing import print_board
 from fourd.boards import read_board
 from fourd.cli.options import Frames, option, parse_offsets
 from fourd.cli.outputs import READS, WRITES_WHOLE_FOLDER, Writes
 from fourd.errors import UserError, command_line
 from fourd.files import remove_unfinished_folder
+from fourd.pipeline.kept import copy_linked, next_kept
 from fourd.processes import locked_folder
-from fourd.progress import Terminal, Tracker
+from fourd.progress import Log, Terminal, Tracker
 
 VIDEOS_HELP = (
     "Folder with one video per camera, or one folder of images per camera. "
     "The videos or images show a moving calibration board."
 )
-OUT_HELP = "Folder to write: intri.yml, extri.yml, report.json and rig.png. An earlier calibration is replaced."
+OUT_HELP = (
+    "Folder to write: intri.yml, extri.yml, report.json and rig.png. An earlier calibration is kept as CALIBRATION.1."
+)
 INTRINSICS_HELP = (
     "Known intrinsics and distortion, which are not changed: a folder with intri.yml, or a TOML file of Caliscope "
     "(camera_array.toml), Anipose or Pose2Sim."
@@ -101,9 +107,27 @@ def run(arguments: Arguments) -> None:
     )
     with locked_folder(arguments.out):
         remove_unfinished_folder(arguments.out)
-        calibrate_rig(arguments.videos, arguments.out, settings, log=log, warn=warn, track=Tracker(console).track)
+        with _kept_calibration(arguments.out, log):
+            calibrate_rig(arguments.videos, arguments.out, settings, log=log, warn=warn, track=Tracker(console).track)
     text = f"next: {command_line('fourd', 'import', 'VIDEOS', 'CAPTURE', '--calibration', arguments.out)}"
     Terminal().print(Text(f"{arguments.out}: written; {text}"), soft_wrap=True)
+
+
+@contextmanager
+def _kept_calibration(out: Path, log: Log) -> Iterator[None]:
+    """Keep an earlier calibration as OUT.1, OUT.2 and so on, if the block replaces it."""
+    kept = next_kept(out)
+    if not (out / REPORT).is_file():
+        yield
+        return
+    check_out(out)
+    copy_linked(out, kept)
+    try:
+        yield
+    except BaseException:
+        shutil.rmtree(kept, ignore_errors=True)
+        raise
+    log(f"{out}: replaced; the earlier calibration is kept as {kept}")
 
 
 def _check_unused(option_name: str, *values: Path | None) -> None:

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from fourd.carving import read_bounds
+from fourd.carving.sequence import BOUNDS_NAME
 from fourd.cli.options import CapturePath, SelectionOptions, Workers, check_hull_shares, describe, option, worker_count
 from fourd.cli.outputs import WRITES
 from fourd.errors import UserError
@@ -82,14 +83,32 @@ def run(arguments: Arguments) -> None:
         arguments.accept_mattes,
     )
     console = Terminal(stderr=True)
+    before = _points(folder)
+    if before and not (folder / BOUNDS_NAME).is_file():
+        raise UserError(
+            f"{folder}: expected a new folder or points of fourd carve, got other files such as {min(before)}; name "
+            "another folder"
+        )
     with locked_folder(folder):
         Runner(Context(console, worker_count(arguments.workers))).run([carve_stage(capture, folder, settings)])
+    after = _points(folder)
+    replaced = sum(after.get(name) != state for name, state in before.items())
+    if replaced:
+        console.print(
+            f"{folder}: the points of {replaced} frames were made again, because settings or files have changed",
+            soft_wrap=True,
+        )
     bounds = read_bounds(folder)
     lower, upper = (", ".join(f"{value:.4g}" for value in corner) for corner in (bounds.lower, bounds.upper))
     console.print(
         f"{folder}: at most {arguments.points} points per frame; bounds in world units: ({lower}) to ({upper})",
         soft_wrap=True,
     )
+
+
+def _points(folder: Path) -> dict[str, int]:
+    """Return the time of the last change in nanoseconds of each points file in a folder, by its name."""
+    return {path.name: path.stat().st_mtime_ns for path in folder.glob("[0-9]" * 6 + ".ply")}
 
 
 def _check(arguments: Arguments) -> None:

@@ -67,6 +67,8 @@ class Arguments:
     least_views: HullLeastViews = MeshSettings.least_views
     seed: int = 0
     """Random seed of the order in which the views are fitted."""
+    force: bool = False
+    """Replace the meshes in DIR if they were made from other files or with other settings."""
 
 
 def run(arguments: Arguments) -> None:
@@ -76,7 +78,7 @@ def run(arguments: Arguments) -> None:
     console = Terminal(stderr=True)
     files = MeshFiles(capture, arguments.out, adjusted)
     with locked_folder(arguments.out):
-        Runner(Context(console)).run([mesh_stage(files, MeshStageSettings(selection, settings))])
+        Runner(Context(console)).run([mesh_stage(files, MeshStageSettings(selection, settings, arguments.force))])
     written = sorted(path.name for path in arguments.out.glob(f"*.{settings.format}"))
     console.print(f"{arguments.out}: {', '.join(written[:2])} ... {len(written)} files", soft_wrap=True, markup=False)
     scores = read_scores(arguments.out) if selection.test_views and settings.format == "glb" else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +16,7 @@ from fourd.processes import locked_folder
 from fourd.progress import Terminal, Tracker
 from fourd.synth import SynthSettings, is_finished, make_synthetic
 from fourd.synth.board_videos import BoardSettings, make_board_videos
+from fourd.synth.generate import read_settings
 
 FRAMES_HELP = "Number N of frames. The figure's motion repeats after N frames."
 CAMERAS_HELP = "Number of cameras on the ring, 3 to 100. With --board, number of cameras on an arc, 2 to 100."
@@ -65,6 +66,12 @@ def _make(arguments: Arguments) -> None:
     if is_finished(arguments.out, settings):
         console.print(f"{arguments.out}: already finished with these settings", soft_wrap=True)
         return
+    old = read_settings(arguments.out)
+    if old is not None:
+        new = asdict(settings)
+        changes = [f"{name}: {old.get(name)} -> {new[name]}" for name in new if old.get(name) != new[name]]
+        reason = ", ".join(changes) or "it was not finished"
+        console.print(f"{arguments.out}: the synthetic capture is made again ({reason})", soft_wrap=True)
     make_synthetic(
         arguments.out,
         frames=settings.frames,

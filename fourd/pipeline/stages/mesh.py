@@ -46,10 +46,12 @@ class MeshFiles:
 
 @dataclass(frozen=True)
 class MeshStageSettings:
-    """Selected views and frames, and the settings of the meshes. Held-out views are used only for scores."""
+    """Selected views and frames, and the settings of the meshes. Held-out views are used only for scores. If ``force``
+    is true, meshes that were made with other settings are replaced."""
 
     selection: DataSelection
     mesh: MeshSettings
+    force: bool = False
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ def run_mesh(files: MeshFiles, settings: MeshStageSettings, context: Context) ->
     """Make the mesh of every frame. Meshes that an earlier call made with the same settings are kept."""
     whole, training, test = _open_views(files, settings.selection)
     with whole, training:
-        paths = mesh_capture(training, files.meshes, settings.mesh, context.track)
+        paths = mesh_capture(training, files.meshes, settings.mesh, context.track, force=settings.force)
         if not test or settings.mesh.format != "glb":
             return
         scores = [
