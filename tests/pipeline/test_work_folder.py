@@ -175,6 +175,7 @@ def test_mattes_that_were_corrected_by_hand_are_kept(tmp_path: Path, monkeypatch
             shutil.rmtree(folder, ignore_errors=True)
             (folder / "00").mkdir(parents=True)
             (folder / "00" / "000000.png").write_text(made[-1])
+            (tmp_path / ".fourd" / "mattes.png").write_text("the sheet is newer")
             MatteState(made[-1], None).write(tmp_path)
         return 0
 
@@ -192,11 +193,19 @@ def test_mattes_that_were_corrected_by_hand_are_kept(tmp_path: Path, monkeypatch
 
     for _ in range(2):
         assert "made again" not in run()
-    (folder / "00" / "000000.png").write_text("edited")
-    assert "made again" not in run()
     made.append("second")
-    assert f"{folder}: made again, because settings or files have changed; the earlier mattes are kept as" in run()
-    assert (folder / "00" / "000000.png").read_text() == "second"
-    assert (tmp_path / ".fourd" / "mattes.1" / "00" / "000000.png").read_text() == "edited"
+    assert run().startswith(f"{folder}: made again, because settings or files have changed\n")
+    assert not (folder.parent / "mattes.1").exists(), "nobody has edited the first mattes"
+    (folder / "00" / "000000.png").write_text("edited")
+    os.utime(tmp_path / ".fourd" / "mattes.png", (1, 1))
     assert "made again" not in run()
-    assert sorted(path.name for path in folder.parent.iterdir()) == ["mattes", "mattes.1", "mattes.json", "mattes.png"]
+    made.append("third")
+    printed = run()
+    assert f"{folder}: made again, because settings or files have changed" in printed
+    assert f"1 of the earlier mattes were edited after fourd had made them; all are kept as {folder}.1" in printed
+    assert (folder / "00" / "000000.png").read_text() == "third"
+    assert (folder.parent / "mattes.1" / "00" / "000000.png").read_text() == "edited"
+    assert "made again" not in run()
+    assert sorted(path.name for path in folder.parent.iterdir()) == [
+        "mattes", "mattes.1", "mattes.json", "mattes.png",
+    ]  # fmt: skip

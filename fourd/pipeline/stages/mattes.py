@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from fourd.capture import Capture, open_capture
-from fourd.capture.layout import DERIVED, MATTES, refuse_symlinks
+from fourd.capture.layout import DERIVED
 from fourd.capture.video_index import index_capture
 from fourd.carving.matte_quality import measure_mattes
 from fourd.matting.contact_sheet import write_contact_sheet
-from fourd.matting.output import SHEET, MatteState
+from fourd.matting.output import SHEET
 from fourd.matting.selection import Selection
 from fourd.matting.sequence import MatteSettings, make_mattes
-from fourd.pipeline.kept import copy_linked, folder_size, next_kept, readable_size
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
-from fourd.progress import Log
+from fourd.pipeline.stages.edited_mattes import kept_if_edited
 
 QUALITY = DERIVED / "matte_quality.json"
 """JSON file that records how well the mattes agree with visual hulls: three numbers for each camera in each of a few
@@ -60,7 +55,7 @@ def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context
     kept."""
     selection = Selection(files.capture, settings.views, settings.frames)
     index_capture(files.capture, settings.views, context.track)
-    with _kept_mattes(files.capture, context.log):
+    with kept_if_edited(files.capture, context.log):
         made = make_mattes(selection, settings.mattes, context.workers, context.track)
     context.log(f"{files.capture}: made mattes of {made} frames; kept the mattes of the other frames")
     sheet = files.capture / SHEET
@@ -69,33 +64,6 @@ def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context
         with open_capture(files.capture, views=views, frames=settings.frames) as capture:
             write_quality(capture, context)
             write_contact_sheet(capture, sheet, track=context.track)
-
-
-@contextmanager
-def _kept_mattes(capture: Path, log: Log) -> Iterator[None]:
-    """Keep the mattes that exist before the block as ``mattes.1``, ``mattes.2`` and so on, if the block replaces them.
-    The user may have corrected them by hand.
-    """
-    mattes, before = capture / MATTES, MatteState.read(capture)
-    copy = mattes.with_name(f"{mattes.name}.copy")
-    shutil.rmtree(copy, ignore_errors=True)
-    if not any(mattes.glob("*/*")):
-        yield
-        return
-    refuse_symlinks(capture, mattes)
-    copy_linked(mattes, copy)
-    try:
-        yield
-        if MatteState.read(capture).key != before.key:
-            kept = next_kept(mattes)
-            os.replace(copy, kept)
-            size = readable_size(folder_size(kept))
-            log(
-                f"{mattes}: made again, because settings or files have changed; the earlier mattes are kept as {kept} "
-                f"({size}); delete that folder if you do not need it"
-            )
-    finally:
-        shutil.rmtree(copy, ignore_errors=True)
 
 
 def write_quality(capture: Capture, context: Context) -> None:
