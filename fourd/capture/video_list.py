@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import floor
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
 from fourd.capture.frame_rate import format_rate
 from fourd.capture.layout import DERIVED, VIDEOS, find_videos
 from fourd.capture.video import MAX_FPS, MIN_FPS, VideoIndex, index_from_json, index_to_json, index_video
-from fourd.errors import UserError
+from fourd.errors import UserError, command_line
 from fourd.files import write_text_atomically
 from fourd.limits import read_fraction, read_json
 from fourd.processes.isolation import ParserProcess
@@ -139,7 +138,7 @@ def _require_square(capture: Path, video: Video) -> None:
         raise UserError(
             f"{video.path}: expected square pixels, or a capture that fourd import has written, got pixels of the "
             f"aspect ratio {video.index.aspect.numerator}:{video.index.aspect.denominator}; stretch the frames and the "
-            f"calibration with: fourd import {quote(str(capture))} OUT"
+            f"calibration with: {command_line('fourd', 'import', capture, 'OUT')}"
         )
 
 
