@@ -70,6 +70,7 @@ class Report:
             decoded. For a binary matte, this is the fraction of the image that the subject covers.
         nbytes: total size of all images, videos and mattes in bytes.
         skipped: the files that were not decoded because decoding all of them takes too long, or None.
+        notes: how unusual content is read, one line each. Notes are not mistakes.
     """
 
     problems: tuple[str, ...]
@@ -84,6 +85,7 @@ class Report:
     coverage: float | None
     nbytes: int
     skipped: Skipped | None = None
+    notes: tuple[str, ...] = ()
 
 
 def check_capture(
@@ -165,7 +167,8 @@ class _Check:
         skipped = self._decode(sized, sampled)
         cameras = {name: self._to_camera(name, calibrations[name]) for name in names if name in calibrations}
         radius = self._check_poses({name: camera for name, camera in cameras.items() if camera is not None})
-        self.warnings += [*self.mattes.warnings(), *self._mask_notes(masks_folder)]
+        self.warnings += self.mattes.warnings()
+        notes = self._mask_notes(masks_folder)
         if self.mattes.is_empty and self.decode_seconds and not skipped:
             self.problems.append(
                 f"{masks_folder}: expected mattes with the object in white, got only black ones; export the mattes "
@@ -184,6 +187,7 @@ class _Check:
             self.mattes.mean,
             self.nbytes,
             skipped,
+            tuple(notes),
         )
 
     def _try(self, function: Callable[..., Value], *arguments: object) -> Value | None:

@@ -188,7 +188,7 @@ def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | Non
     return UserError(
         f"{label}: expected a visual hull with an agreement of {views.agreement:g}, got an empty hull; "
         f"these views disagree most: {removals}; fix the masks or the calibration of these views, exclude the views, "
-        "or lower the agreement"
+        "or pass a lower --agreement to fourd carve"
     )
 
 

@@ -76,7 +76,12 @@ def _check(capture: Path, arguments: Arguments) -> None:
     poor = quality.warnings() if quality else ()
     disagreeing = () if agreement is None or agreement.mixups else agreement.warnings
     warnings = (*report.warnings, *disagreeing, *found, *poor)
-    for title, style, lines in (("problem", "bold red", report.problems), ("warning", "yellow", warnings)):
+    titled = (
+        ("note", "bold", report.notes),
+        ("warning", "yellow", warnings),
+        ("problem", "bold red", report.problems),
+    )
+    for title, style, lines in titled:
         for line in first_lines(lines, MOST_LINES):
             # If the capture is in an object store such as S3, the check runs on a local copy of it. Messages name the
             # capture's URL, because the user does not know the path of the copy.

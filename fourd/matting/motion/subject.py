@@ -82,8 +82,10 @@ def learn_subject(samples: Sequence[CameraSample], names: Sequence[str], seed: i
     cameras = tuple(sample.camera for sample in samples)
     extents = [MotionExtent.from_sample(sample) for sample in track(samples, len(samples), "motion")]
     if max(int(extent.region.sum()) for extent in extents) < MIN_REGION_PIXELS:
+        is_single = all(len(sample.rgb) < 2 for sample in samples)
+        got = "only one frame" if is_single else "no change in any camera"
         raise UserError(
-            "the images: expected a moving subject, got no change in any camera; "
+            f"the images: expected a moving subject, got {got}; "
             "provide masks/CAM/FRAME.png, or use --method chroma with a screen of one colour"
         )
     box = _motion_box(extents, cameras, names)

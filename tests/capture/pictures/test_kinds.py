@@ -148,7 +148,7 @@ def test_alpha_is_the_matte_of_captures_without_masks(tmp_path: Path) -> None:
     assert report.has_masks
     assert report.coverage
     assert not report.problems
-    assert any("alpha channel" in line for line in report.warnings)
+    assert any("alpha channel" in line for line in report.notes)
     with open_capture(tmp_path) as capture:
         for camera in range(4):
             image, mask = capture.image(camera, 1), capture.mask(camera, 1)
