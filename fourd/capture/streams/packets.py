@@ -14,8 +14,14 @@ from fourd.capture.streams.container import open_container, recorded_streams, tr
 from fourd.capture.streams.matroska import missing_bytes
 from fourd.capture.streams.timing import no_times
 from fourd.errors import UserError
+from fourd.limits import open_regular
 
 NO_TIME = -(1 << 62)
+SYNC = 0x47
+"""First byte of each packet of MPEG-TS (ISO/IEC 13818-1)."""
+TRANSPORT_PACKETS = ((188, 0), (192, 4), (204, 0))
+"""Sizes in bytes of the packets of MPEG-TS files, and the position of the sync byte in each packet."""
+CHECKED_PACKETS = 5
 
 
 @dataclass(frozen=True)
@@ -58,10 +64,12 @@ def read_packets(path: Path) -> Packets:
         if stream.time_base is None:
             raise no_times(path, "frames without times")
         packets = _described(container, stream)
-        empty = 0
+        empty = end = 0
         for packet in container.demux(stream):
+            end = end if packet.dts is None else max(end, packet.dts + 1)
             if not packet.size:
-                empty += 1
+                # The last packet of a stream is empty and has no time. It only marks the end.
+                empty += packet.dts is not None
                 continue
             packets.times.append(NO_TIME if packet.pts is None else packet.pts)
             packets.decode_times.append(NO_TIME if packet.dts is None else packet.dts)
@@ -78,10 +86,12 @@ def read_packets(path: Path) -> Packets:
         raise UserError(f"{path}: expected a video with frames, got no frames; copy the file again")
     if packets.format_name == "avi":
         # The header of an AVI file also counts dropped frames, which are stored as empty packets.
-        if max(packets.decode_times[-1] + 1, len(packets) + empty) < declared - 1:
+        if max(end, len(packets) + empty) < declared:
             raise truncated(path, len(packets), declared)
-    elif len(packets) < declared:
+    elif len(packets) + empty < declared:
         raise truncated(path, len(packets), declared)
+    if packets.format_name == "mpegts":
+        _require_whole_packets(path)
     missing = missing_bytes(path)
     if missing:
         size = path.stat().st_size
@@ -90,6 +100,21 @@ def read_packets(path: Path) -> Packets:
             "the video again"
         )
     return packets
+
+
+def _require_whole_packets(path: Path) -> None:
+    """Raise UserError if an MPEG-TS file ends within a packet, as an interrupted copy does."""
+    with open_regular(path) as stream:
+        head = stream.read(CHECKED_PACKETS * max(size for size, _ in TRANSPORT_PACKETS))
+    for size, start in TRANSPORT_PACKETS:
+        if all(byte == SYNC for byte in head[start::size]):
+            rest = path.stat().st_size % size
+            if rest:
+                raise UserError(
+                    f"{path}: expected whole packets of {size} bytes, got {rest} bytes in the last one; copy or record "
+                    f"the video again, or leave out its end with: ffmpeg -i {path.name} -c copy whole-{path.name}"
+                )
+            return
 
 
 def _described(container: InputContainer, stream: VideoStream) -> Packets:

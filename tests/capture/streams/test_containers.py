@@ -19,11 +19,14 @@ from tests.capture.streams.coded_videos import (
     CODECS,
     FPS,
     PAIRS,
+    SIZE,
     TICKS,
     Coding,
     copy_packets,
     number_of,
     numbered_picture,
+    open_output,
+    options_of,
     write,
 )
 
@@ -229,6 +232,62 @@ def test_older_codecs(
 
     path = write(tmp_path / f"a.{container}", codec, NUMBERS, prepare=prepare)
     check(path, NUMBERS, parser, rng)
+
+
+MUXINGS = [
+    ("mp4", {"movflags": "frag_keyframe+empty_moov"}),
+    ("mp4", {"movflags": "frag_every_frame+empty_moov+default_base_moof"}),
+    ("mp4", {"movflags": "faststart"}),
+    ("mp4", {"movflags": "negative_cts_offsets"}),
+    ("mov", {"use_editlist": "0"}),
+    ("mkv", {"live": "1"}),
+    ("mkv", {"cluster_size_limit": "500"}),
+    ("ts", {"muxrate": "2000000"}),
+    ("ts", {"mpegts_flags": "resend_headers", "pes_payload_size": "500"}),
+]
+
+
+@pytest.mark.parametrize(("container", "options"), MUXINGS)
+def test_ways_of_muxing(
+    container: str, options: dict[str, str], tmp_path: Path, parser: ParserProcess, rng: np.random.Generator
+) -> None:
+    """Catches seeks that rely on an index of the container, and offsets of times that are ignored."""
+    check(write(tmp_path / f"a.{container}", "h264", NUMBERS, options=options), NUMBERS, parser, rng)
+
+
+@pytest.mark.parametrize("container", ["mp4", "mkv", "avi", "ts", "m2ts"])
+def test_sound_between_the_frames(
+    container: str, tmp_path: Path, parser: ParserProcess, rng: np.random.Generator
+) -> None:
+    """Catches packets of sound that count as frames."""
+    path = tmp_path / f"a.{container}"
+    with open_output(path) as output:
+        sound = output.add_stream("mp2", rate=48000)
+        sound.layout = "mono"
+        video = output.add_stream("libx264", rate=FPS, options=options_of("h264", Coding()))
+        video.width = video.height = SIZE
+        for number in NUMBERS:
+            samples = rng.integers(-9000, 9000, (1, 48000 // FPS)).astype(np.int16)
+            heard = av.AudioFrame.from_ndarray(samples, format="s16", layout="mono")
+            heard.sample_rate, heard.pts, heard.time_base = 48000, number * 48000 // FPS, Fraction(1, 48000)
+            output.mux(sound.encode(heard))
+            frame = av.VideoFrame.from_ndarray(numbered_picture(number), format="rgb24")
+            frame.pts, frame.time_base = number, Fraction(1, FPS)
+            output.mux(video.encode(frame))
+        output.mux(sound.encode(None))
+        output.mux(video.encode(None))
+    check(path, NUMBERS, parser, rng)
+
+
+@pytest.mark.parametrize("container", ["mp4", "mkv", "avi", "ts", "m2ts"])
+def test_cut_files_are_refused(container: str, tmp_path: Path, parser: ParserProcess) -> None:
+    """Catches an interrupted copy of a file that counts its frames in the header."""
+    options = {"movflags": "faststart"} if container == "mp4" else {}
+    path = write(tmp_path / f"a.{container}", "h264", NUMBERS, options=options)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) * 4 // 5 // 192 * 192 + 100])
+    with pytest.raises(UserError, match=r"expected .*(frames|bytes).*, got .*; copy or record the video again"):
+        index_video(path, parser)
 
 
 def detailed_picture(number: int) -> np.ndarray:
