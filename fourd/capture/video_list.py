@@ -298,10 +298,8 @@ def read_entries(path: Path) -> dict[str, Entry]:
         content = read_json(path)
         if content["version"] not in range(1, VERSION + 1):
             raise UserError(f"{path}: expected version {VERSION} or older, got {content['version']}; import again")
-        entries = dict(content["cameras"])
-        if content["version"] < INDEX_VERSION:
-            entries = {name: dict(entry) | {OUTDATED: True} for name, entry in entries.items()}
-        return entries
+        is_old = {OUTDATED: True} if content["version"] < INDEX_VERSION else {}
+        return {name: dict(entry) | is_old for name, entry in dict(content["cameras"]).items()}
     except FileNotFoundError:
         return {}
     except (ValueError, KeyError, TypeError) as error:

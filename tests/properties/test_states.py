@@ -112,7 +112,7 @@ INDEX = {
     "frames": 20, "width": 64, "height": 48, "start": "0", "fps": "30000/1001", "tick": "1/30000", "keyframes": [0, 10],
     "times": list(range(0, 20020, 1001)), "turn": 0,
 }  # fmt: skip
-VIDEOS = {"version": 2, "fps": "25", "cameras": {"00": {"file": "00.mp4", "bytes": 100, "offset": 0.5, "index": INDEX}}}
+VIDEOS = {"version": 3, "fps": "25", "cameras": {"00": {"file": "00.mp4", "bytes": 100, "offset": 0.5, "index": INDEX}}}
 IMPORTED = {
     "version": 1, "source": "a", "format": "easymocap", "calibration": "1", "files": "2", "options": {"reduce": 1},
     "offsets": {"00": 1.5}, "unpacked": True, "done": True, "warnings": ["a"],
