@@ -16,7 +16,7 @@ from fourd.cameras import Camera, describe_equal_positions
 from fourd.capture.calibration import Calibration, CalibrationReport, check_calibration
 from fourd.capture.checks.damage import Skipped, decode_pictures
 from fourd.capture.checks.mattes import MatteTally
-from fourd.capture.checks.pictures import OrientationCheck, describe_gaps
+from fourd.capture.checks.pictures import PictureCheck, describe_gaps
 from fourd.capture.decoding import decode_matte, decode_picture, read_header
 from fourd.capture.focus import find_focus
 from fourd.capture.frame_rate import read_rate
@@ -128,7 +128,7 @@ class _Check:
         self.mattes = MatteTally()
         self.masks = MaskFolder(path / "masks")
         self.is_alpha = False
-        self.orientations = OrientationCheck()
+        self.pictures = PictureCheck()
         self.nbytes = 0
         self.fps: Fraction | None = None
 
@@ -273,7 +273,7 @@ class _Check:
             return False
         self.nbytes += file.stat().st_size
         if not self._is_matte(file):
-            self._try(self.orientations.check, file, header, calibration)
+            self._try(self.pictures.check, file, header, calibration)
         self._check_size(file, file.parent.name, calibration, header.size, self._is_matte(file))
         return True
 

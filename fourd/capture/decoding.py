@@ -47,11 +47,13 @@ class PictureHeader:
         size: (width, height) of the upright image in pixels.
         orientation: EXIF orientation, 1 to 8. The stored image is upright if it is 1.
         has_alpha: whether the file has an alpha channel, or a palette or colour that is transparent.
+        bits: 16 if the file has 16 bits per value, otherwise 8.
     """
 
     size: tuple[int, int]
     orientation: int
     has_alpha: bool
+    bits: int
 
     @property
     def stored_size(self) -> tuple[int, int]:
@@ -70,15 +72,20 @@ def read_header(path: Path) -> PictureHeader:
 
 def header_of(image: Image.Image) -> PictureHeader:
     """Return the header of an image that Pillow has opened but not decoded."""
+    # Without metadata in the header of a PNG file, getexif would decode the whole image to find metadata behind it.
+    has_exif = image.format != "PNG" or not {"exif", "Raw profile type exif"}.isdisjoint(image.info)
     try:
-        found = image.getexif().get(ExifTags.Base.Orientation, 1)
+        found = image.getexif().get(ExifTags.Base.Orientation, 1) if has_exif else 1
     except (*ERRORS, struct.error, IndexError):
         found = 1  # Damaged metadata does not make an image unusable.
     orientation = found if found in UPRIGHT else 1
     # Pillow itself turns TIFF images upright, and swaps their sizes when it opens them.
     is_swapped = orientation >= 5 and image.format != "TIFF"
     size = (image.height, image.width) if is_swapped else image.size
-    return PictureHeader(size, orientation, image.mode in ALPHA_MODES or "transparency" in image.info)
+    # In the modes RGB and RGBA, only the decoder's arguments show that the file has 16 bits per value.
+    arguments = str([tile[3] for tile in getattr(image, "tile", [])])
+    bits = 16 if image.mode.startswith("I;16") or ";16" in arguments else 8
+    return PictureHeader(size, orientation, image.mode in ALPHA_MODES or "transparency" in image.info, bits)
 
 
 def picture_size(path: Path) -> tuple[int, int]:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 from fourd.capture.calibration import Calibration
 from fourd.capture.decoding import PictureHeader, check_orientation
+from fourd.capture.layout import find_pictures
+from fourd.capture.pictures.bits import check_bits
 from fourd.capture.pictures.orientation import check_turned
 
 MAX_GAPS = 5
@@ -31,20 +33,22 @@ def describe_gaps(folder: Path, frames: Sequence[str]) -> list[str]:
     ]
 
 
-class OrientationCheck:
-    """Checks that all images of a camera are turned by the same EXIF orientation, as its calibration is."""
+class PictureCheck:
+    """Checks that all images of a camera are turned by the same EXIF orientation, as its calibration is, and that they
+    use all their bits."""
 
     def __init__(self) -> None:
         self._orientations: dict[str, int] = {}
 
     def check(self, file: Path, header: PictureHeader, calibration: Calibration | None) -> None:
         """Check one image in the folder of a camera. Raises UserError if the first image of the camera does not fit
-        the calibration, or another image has another orientation than the first one."""
+        the calibration or its images are almost black, or if another image has another orientation."""
         name = file.parent.name
         if name in self._orientations:
             check_orientation(file, header.orientation, self._orientations[name])
             return
         self._orientations[name] = header.orientation
+        check_bits([file.with_name(entry) for entry in find_pictures(file.parent).values()])
         if calibration is not None:
             width, height = calibration.width or header.size[0], calibration.height or header.size[1]
             camera = None

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fourd.cameras import Camera
 from fourd.capture.decoding import PictureHeader, check_orientation, read_header
+from fourd.capture.pictures.bits import check_bits
 from fourd.capture.pictures.orientation import TURNS, fits_stored_only
 from fourd.errors import UserError
 from fourd.importing.frame_geometry import CalibratedFrames, turn_camera
@@ -37,6 +38,7 @@ def match_pictures(imported: Imported, meant: CalibratedFrames, track: Track) ->
         found = camera
         if isinstance(camera.frames, PictureFiles):
             header = check_headers(camera.name, camera.frames.paths, track)
+            check_bits(camera.frames.paths)
             _check_mattes(camera, header)
             found, note = _turn(camera, header, meant)
             if note is not None:

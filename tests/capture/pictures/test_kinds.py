@@ -7,12 +7,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageFile, TiffImagePlugin, WebPImagePlugin
 
 from fourd.cameras import Camera
 from fourd.capture import open_capture, write_calibration
 from fourd.capture.check import check_capture
-from fourd.capture.decoding import decode_rgb, picture_size
+from fourd.capture.decoding import decode_rgb, picture_size, read_header
+from fourd.capture.pictures.bits import check_bits
 from fourd.errors import UserError
 from fourd.pipeline.capture_graph import has_masks
 from tests.captures import ring_cameras, write_ball_capture
@@ -43,6 +44,19 @@ def test_values_of_16_bits_are_scaled(tmp_path: Path, rgb: np.ndarray, suffix: s
         assert cv2.imwrite(str(path), values[..., ::-1].astype(np.uint16) * 257)
         expected = rgb if name == "rgb" else np.repeat(rgb[:, ::-1, :1], 3, axis=2)
         assert np.array_equal(decode_rgb(path), expected)
+
+
+@pytest.mark.parametrize("is_grey", [False, True])
+def test_12_of_16_bits_are_refused(tmp_path: Path, rgb: np.ndarray, is_grey: bool) -> None:
+    """Catches recordings of 12-bit cameras that become almost black."""
+    values = rgb[..., 0] if is_grey else rgb
+    for name, factor in (("dark.png", 16), ("bright.png", 257)):
+        assert cv2.imwrite(str(tmp_path / name), values.astype(np.uint16) * factor)
+    check_bits([tmp_path / "dark.png", tmp_path / "bright.png"])
+    with pytest.raises(
+        UserError, match=r"dark.png: expected values of 16 bits up to 65535, got at most about [0-9]+ in"
+    ):
+        check_bits([tmp_path / "dark.png"])
 
 
 def test_cmyk_and_grey_jpegs(tmp_path: Path, rgb: np.ndarray) -> None:
@@ -81,6 +95,20 @@ def test_exif_orientation_turns_images_upright(tmp_path: Path, rgb: np.ndarray, 
     expected = cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
     assert decoded.shape == expected.shape
     assert np.abs(decoded.astype(int) - expected).mean() < 4
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif", ".webp"])
+def test_headers_are_read_without_decoding(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a header that costs as much as its image, because Pillow looks for metadata behind the image."""
+    path = tmp_path / f"a{suffix}"
+    Image.fromarray(np.zeros((HEIGHT, WIDTH, 3), np.uint8)).save(path)
+
+    def fail(*arguments: object) -> None:
+        pytest.fail("the image was decoded")
+
+    for kind in (ImageFile.ImageFile, WebPImagePlugin.WebPImageFile, TiffImagePlugin.TiffImageFile):
+        monkeypatch.setattr(kind, "load", fail)
+    assert read_header(path).size == (WIDTH, HEIGHT)
 
 
 def write_turned(folder: Path, camera: Camera, orientations: tuple[int, ...] = (6, 6)) -> Path:
