@@ -211,7 +211,7 @@ def link_entries(capture: Path, target: Path, *, left_out: Set[str]) -> None:
 
     Existing links are kept.
     """
-    for name in sorted(os.listdir(capture)):
+    for name in sort_names(os.listdir(capture)):
         link = target / name
         if name not in left_out and not link.is_symlink():
             link.symlink_to(resolved(capture / name))

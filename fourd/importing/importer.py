@@ -158,7 +158,7 @@ def import_source(
     record = replace(record, files=files, offsets=offsets, unpacked=started.unpacked or options.unpack)
     write_record(out, record)
     notes = _write(imported, indices, out, options, offsets, track, with_calibration=True)
-    for line in (*notes, *_describe_mattes(out)):
+    for line in (*notes, *_describe_mattes(out, warnings)):
         log(line)
     _warn_all(warnings, warn)
     write_record(out, replace(record, done=True, warnings=tuple(warnings)))
@@ -256,11 +256,14 @@ def _match_calibrations(
     return imported
 
 
-def _describe_mattes(out: Path) -> list[str]:
-    """Return notes on how the masks or alpha channels of a written capture are read."""
-    if alpha_is_matte(out):
-        return [ALPHA_NOTE]
-    return MaskFolder(out / "masks").notes()
+def _describe_mattes(out: Path, warnings: list[str]) -> list[str]:
+    """Return notes on how the masks or alpha channels of a written capture are read. An error in them is appended to
+    ``warnings``, because the capture itself is complete."""
+    try:
+        return [ALPHA_NOTE] if alpha_is_matte(out) else MaskFolder(out / "masks").notes()
+    except UserError as error:
+        warnings.append(str(error))
+        return []
 
 
 def _has_calibration(out: Path) -> bool:

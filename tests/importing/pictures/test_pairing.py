@@ -227,3 +227,16 @@ def test_unknown_formats_are_named(tmp_path: Path) -> None:
     (source / "images" / "cam1" / "0.png").rename(source / "images" / "cam1" / "0.exr")
     with pytest.raises(UserError, match=r"images/cam1: expected images \(.*\), got only .exr files; convert them"):
         open_capture(source)
+
+
+def test_a_damaged_mask_does_not_stop_the_import(tmp_path: Path) -> None:
+    """Catches an import that fails after everything is written, because one mask of thousands is damaged."""
+    source = write_source(tmp_path / "in", {"cam1": ["0"], "cam2": ["0"]})
+    for name in ("cam1", "cam2"):
+        (source / "masks" / name).mkdir(parents=True)
+        assert cv2.imwrite(str(source / "masks" / name / "0.png"), np.full((SIZE, SIZE), 255, np.uint8))
+    whole = (source / "masks" / "cam2" / "0.png").read_bytes()
+    (source / "masks" / "cam2" / "0.png").write_bytes(whole[:-20])
+    _, warnings = run_import(source, tmp_path / "out")
+    assert any("masks/cam2/000000.png: expected a complete" in line for line in warnings)
+    assert len(brightness(tmp_path / "out")) == 1
