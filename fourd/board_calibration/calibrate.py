@@ -89,15 +89,15 @@ def calibrate_rig(source: Path, out: Path, settings: CalibrationSettings, *, log
     check_out(out)
     if not source.is_dir():
         raise UserError(f"{source}: expected a folder with videos of the board, got no folder; check the path")
-    found = tuple(ImportedCamera(name, None, frames) for name, frames in find_frames(source).items())
-    aligned, missing = align_pictures(Imported(found, ()), "auto")
-    for line in missing:
-        warn(line)
-    cameras = aligned.cameras
+    cameras = tuple(ImportedCamera(name, None, frames) for name, frames in find_frames(source).items())
     check_names([camera.name for camera in cameras])
     files = video_files(cameras)
     indices = {name: index_video(files[name]) for name in track(list(files), len(files), "videos")} if files else {}
     _check_counts(cameras, indices, settings.offsets)
+    aligned, missing = align_pictures(Imported(cameras, ()), "auto")
+    for line in missing:
+        warn(line)
+    cameras = aligned.cameras
     with SynchronizedFrames(cameras, indices, settings.offsets) as frames:
         numbers = _frame_numbers(frames, source, settings, log)
         first = frames.pictures(numbers[0])
