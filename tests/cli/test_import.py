@@ -94,7 +94,7 @@ def test_other_captures_are_not_overwritten(
     source = write_source(tmp_path / "source")
     before = (ball_capture / "intri.yml").read_bytes()
     assert "got a folder with other files; name another" in refused_line(capsys, source, ball_capture)
-    assert "got a folder with other files; name another" in refused_line(capsys, source, source)
+    assert "expected an output that is not an input" in refused_line(capsys, source, source)
     assert (ball_capture / "intri.yml").read_bytes() == before
 
 
