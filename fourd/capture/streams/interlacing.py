@@ -27,8 +27,12 @@ COMB_RATIO = 1.0
 """A moving block is combed if adjacent rows differ more than this factor times the rows of each field."""
 MIN_MOVING = 4
 """Minimum number of moving blocks from which combs are judged."""
-MIN_COMBED = 0.1
-"""Minimum fraction of the moving blocks that are combed in interlaced video."""
+MIN_COMBED = 0.02
+"""Minimum fraction of the moving blocks that are combed in interlaced video.
+
+In progressive video of people and of a test pattern, at most 0.1% of the moving blocks were combed; in interlaced video
+7% of the test pattern, in which mostly plain blocks change colour, and 53% to 72% of people.
+"""
 
 
 def luma(frame: av.VideoFrame) -> NDArray[np.float32]:
