@@ -121,19 +121,29 @@ class WorkFolder:
         for leftovers in stage.leftovers:
             trained = find_trained(run_of(leftovers.folder))
             if trained is not None:
-                self._replace_run(trained, leftovers, before, done)
+                self._replace_run(trained, leftovers, before, done, later)
             else:
                 self._keep_read(leftovers.folder)
             leftovers.remove()
 
-    def _replace_run(self, trained: Trained, leftovers: Leftovers, before: Record, done: Sequence[str]) -> None:
-        """Rename a trained run whose settings have changed, or remove it if the user wants this."""
+    def _replace_run(
+        self,
+        trained: Trained,
+        leftovers: Leftovers,
+        before: Record,
+        done: Sequence[str],
+        later: Sequence[AnyStage],
+    ) -> None:
+        """Rename a trained run whose settings have changed, or remove it if the user wants this. The entries of stages
+        stay if they are ``done``, or if their files stay in the folder of the run."""
         run = trained.folder
         shared = [name for name in PREPARATION if leftovers.folder != run or name in leftovers.keep]
+        folders = [run / name for name in shared]
+        stay = [*done, *(each.name for each in later if _is_inside(each.outputs, folders))]
         entries = {name: entry for name, entry in before.stages.items() if entry.place == self._run.name}
         whole = [entry.finished is not None for name, entry in entries.items() if name.startswith(TRAINING)]
         what = f"the {'finished' if whole and all(whole) else 'unfinished'} run of {trained.steps:,} steps"
-        self._write({name: None for name in entries if name not in done})
+        self._write({name: None for name in entries if name not in stay})
         if self._force:
             Leftovers(run, tuple(shared)).remove()
             self._log(f"{run}: {what} is deleted, because of --force")
@@ -166,7 +176,7 @@ class WorkFolder:
                 continue
             trained = find_trained(run)
             if trained is not None:
-                self._replace_run(trained, stage.leftovers[0], self._record, ())
+                self._replace_run(trained, stage.leftovers[0], self._record, (), ())
             self._write({name: None for name, entry in self._record.stages.items() if entry.place == run.name})
             bring_back(kept, run, stage.files.capture)
             others = {name: each for name, each in self._record.kept.items() if name != kept.name}
@@ -185,3 +195,8 @@ class WorkFolder:
     def _write(self, changes: Mapping[str, StageEntry | None]) -> None:
         self._record = self._record.with_entries(changes)
         self._record.write(self._path)
+
+
+def _is_inside(outputs: Sequence[Path], folders: Sequence[Path]) -> bool:
+    """Return whether there are outputs, and each is in one of the folders."""
+    return bool(outputs) and all(any(path.is_relative_to(folder) for folder in folders) for path in outputs)

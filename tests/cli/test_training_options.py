@@ -104,7 +104,8 @@ def test_bad_values_are_one_line(
     command: str, words: list[str], message: str, ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Catches a traceback, a value that is ignored, and an error that does not name the option."""
-    assert main([command, str(ball_capture), "-o", str(tmp_path / "out"), "--max-steps", "1", *words]) == 2
+    out = tmp_path / ("out.4dv" if command == "make" else "out")
+    assert main([command, str(ball_capture), "-o", str(out), "--max-steps", "1", *words]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"fourd {command}: {message}")
     assert error.count("\n") == 1

@@ -267,7 +267,7 @@ def test_a_missing_decoder_is_named(
     assert main(["render", str(packed), "--views", "00", "-o", str(out)]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert any("pip install av" in line for line in lines)
-    assert main(["pack", str(packed.with_name("scene.4dv")), "-o", str(out), "--tier", "video"]) == 2
+    assert main(["pack", str(packed.with_name("scene.4dv")), "-o", f"{out}.4dv", "--tier", "video"]) == 2
     assert "pip install av" in capsys.readouterr().err
 
 

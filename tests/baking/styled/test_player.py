@@ -12,6 +12,7 @@ from fourd.baking import BakedFrame, SceneManifest, SceneReader, SceneWriter, co
 from fourd.baking.packing.pack import pack_scene
 from fourd.baking.styled.normals import FrameNormals, add_normals
 from fourd.baking.styled.player import StyledPlayer
+from fourd.ops.loading import load_native
 from fourd.ops.play.op import MIN_TRANSMITTANCE
 from fourd.ops.points.arrays import render_points_numpy
 from fourd.ops.stylize.reference import front_weight
@@ -32,6 +33,8 @@ def test_surfaces_equal_those_of_the_float_renderer(
 ) -> None:
     """Catches normals in the wrong axes, and depths that are not divided by their weights. Also catches points that
     face away and hide other points, and colours over a background."""
+    if simd and not load_native().simd_available(simd):
+        pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
     camera = MANIFEST.cameras[1]
     assert frame.normals is not None
