@@ -82,6 +82,7 @@ def _tensor(data: Any, *, device: torch.device | None = None, _create: Any = tor
 def _run(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
     name = func._schema.name
     given = [value for value in tree_flatten((args, kwargs))[0] if isinstance(value, Tensor)]
+    _require_numbers(name, given)
     on_gpu = any(isinstance(value, FakeGpuTensor) for value in given)
     device = kwargs.get("device")
     if on_gpu and name not in COPIES:
@@ -96,6 +97,13 @@ def _run(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
     if name == "aten::copy_" or (name.endswith("_") and on_gpu and isinstance(args[0], FakeGpuTensor)):
         return args[0]
     return tree_map(_wrapper(args, values[0]), result) if on_gpu else result
+
+
+def _require_numbers(name: str, given: list[Tensor]) -> None:
+    """Refuse tensors of the real device ``meta``, which contain no numbers: torch creates one without asking the fake
+    device if a tensor is indexed with a list. The operation would read arbitrary memory."""
+    if any(value.device.type == FAKE_GPU.type and not isinstance(value, FakeGpuTensor) for value in given):
+        raise RuntimeError(f"{name}: expected a tensor with numbers, got one of the real device {FAKE_GPU}")
 
 
 def _require_one_device(name: str, args: Any, given: list[Tensor]) -> None:

@@ -13,7 +13,8 @@ def sample_planes_reference(coordinates: Tensor, planes: Sequence[Tensor], axes:
     """Compute the result of :func:`fourd.ops.planes.op.sample_planes` on any device, in float32 or float64."""
     samples = []
     for k, plane in enumerate(planes):
-        grid = coordinates[:, [axes[2 * k], axes[2 * k + 1]]].nan_to_num(nan=-1.0).reshape(1, 1, -1, 2)
+        column, row = coordinates[:, axes[2 * k]], coordinates[:, axes[2 * k + 1]]
+        grid = torch.stack((column, row), dim=1).nan_to_num(nan=-1.0).reshape(1, 1, -1, 2)
         values = plane.permute(2, 0, 1)[None]
         found = functional.grid_sample(values, grid, align_corners=True, padding_mode="border")
         samples.append(found[0, :, 0].T)
