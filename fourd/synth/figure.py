@@ -69,6 +69,88 @@ class Figure:
     wardrobe: Wardrobe
 
 
+@dataclass(frozen=True)
+class LegAngles:
+    """Angles of a leg in radians.
+
+    Attributes:
+        swing: rotation of the thigh to the front, relative to the pelvis.
+        bend: bend of the knee.
+        foot: rotation of the toes downwards, relative to the shin.
+    """
+
+    swing: float
+    bend: float
+    foot: float
+
+
+@dataclass(frozen=True)
+class ArmAngles:
+    """Angles of an arm in radians.
+
+    Attributes:
+        swing: rotation of the upper arm to the front, relative to the chest.
+        bend: bend of the elbow.
+        spread: rotation of the upper arm away from the trunk.
+        inward: rotation of the forearm towards the other arm.
+    """
+
+    swing: float
+    bend: float
+    spread: float = 0.3
+    inward: float = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Posture:
+    """A posture of the figure, without its position.
+
+    Attributes:
+        pelvis: (3, 3) rotation R_world_pelvis.
+        chest: (3, 3) rotation R_world_chest.
+        head: (3, 3) rotation R_world_head.
+        legs: angles of the left and of the right leg.
+        arms: angles of the left and of the right arm.
+        hair_phase: phase of the swinging ponytail in radians.
+    """
+
+    pelvis: Array
+    chest: Array
+    head: Array
+    legs: tuple[LegAngles, LegAngles]
+    arms: tuple[ArmAngles, ArmAngles]
+    hair_phase: float
+
+
+@dataclass(frozen=True)
+class PosedFigure:
+    """The parts of a posed figure.
+
+    Attributes:
+        parts: all parts.
+        foot_indices: indices of the feet among the parts, left and right.
+        hand_indices: indices of the hands among the parts, left and right.
+    """
+
+    parts: list[Part]
+    foot_indices: list[int]
+    hand_indices: list[int]
+
+    @property
+    def feet(self) -> list[Part]:
+        """The left and the right foot."""
+        return [self.parts[index] for index in self.foot_indices]
+
+    @property
+    def hands(self) -> list[Part]:
+        """The left and the right hand."""
+        return [self.parts[index] for index in self.hand_indices]
+
+    def moved(self, shift: Array) -> PosedFigure:
+        """Return the figure moved by the vector (3,) in metres."""
+        return replace(self, parts=[replace(part, origin=part.origin + shift) for part in self.parts])
+
+
 def make_figure(seed: int) -> Figure:
     """Create a figure with random properties. The same seed gives the same figure."""
     rng = np.random.default_rng(seed)
@@ -89,20 +171,49 @@ def pose_figure(figure: Figure, phase: float) -> list[Part]:
     One gait cycle consists of two steps, and each step includes a leap.
     """
     p = 2 * np.pi * (phase + figure.start)
-    hips = _rotation_z(0.45 * np.sin(p) + 0.2 * np.sin(2 * p))
-    pelvis = hips @ _rotation_z(0.22 * np.sin(p)) @ _rotation_x(0.06 * np.cos(p))
-    chest = hips @ _rotation_y(0.2 + 0.06 * np.cos(2 * p)) @ _rotation_z(-0.38 * np.sin(p))
-    waist = np.zeros(3)
-    parts = _make_trunk(figure, pelvis, chest, waist)
-    feet: list[Part] = []
-    for side, offset in ((1.0, 0.0), (-1.0, np.pi)):
-        leg, foot = _make_leg(figure, pelvis, waist, side, p + offset)
-        feet += foot
-        parts += leg + foot + _make_arm(figure, chest, waist, side, p + offset)
-    parts += _make_head(figure, hips @ _rotation_y(0.06 - 0.08 * np.cos(2 * p)), chest, waist, p)
+    posed = assemble_figure(figure, _running_posture(figure, p))
     leap = 0.11 * np.sin(p) ** 2 * (1 + 0.45 * np.sin(p))
-    position = np.array([0.07 * np.cos(p), 0.09 * np.sin(p), leap - _lowest_height(feet)])
-    return [replace(part, origin=part.origin + position) for part in parts]
+    return posed.moved(np.array([0.07 * np.cos(p), 0.09 * np.sin(p), leap - _lowest_height(posed.feet)])).parts
+
+
+def assemble_figure(figure: Figure, posture: Posture) -> PosedFigure:
+    """Return the figure in the given posture. The waist is at the origin."""
+    waist = np.zeros(3)
+    parts = _make_trunk(figure, posture.pelvis, posture.chest, waist)
+    feet: list[int] = []
+    hands: list[int] = []
+    for side, leg_angles, arm_angles in zip((1.0, -1.0), posture.legs, posture.arms, strict=True):
+        parts += _make_leg(figure, posture.pelvis, waist, side, leg_angles)
+        feet.append(len(parts) - 1)
+        parts += _make_arm(figure, posture.chest, waist, side, arm_angles)
+        hands.append(len(parts) - 1)
+    parts += _make_head(figure, posture.head, posture.chest, waist, posture.hair_phase)
+    return PosedFigure(parts, feet, hands)
+
+
+def _running_posture(figure: Figure, p: float) -> Posture:
+    """Return the posture at the phase ``p`` of the gait, in radians."""
+    hips = rotation_z(0.45 * np.sin(p) + 0.2 * np.sin(2 * p))
+    return Posture(
+        pelvis=hips @ rotation_z(0.22 * np.sin(p)) @ rotation_x(0.06 * np.cos(p)),
+        chest=hips @ rotation_y(0.2 + 0.06 * np.cos(2 * p)) @ rotation_z(-0.38 * np.sin(p)),
+        head=hips @ rotation_y(0.06 - 0.08 * np.cos(2 * p)),
+        legs=(_running_leg(figure, p), _running_leg(figure, p + np.pi)),
+        arms=(_running_arm(figure, p), _running_arm(figure, p + np.pi)),
+        hair_phase=p,
+    )
+
+
+def _running_leg(figure: Figure, p: float) -> LegAngles:
+    return LegAngles(
+        swing=figure.swing * (0.18 + 0.78 * np.sin(p)),
+        bend=0.2 + 1.45 * (0.5 + 0.5 * np.cos(p + 0.35)) ** 1.5,
+        foot=-0.1 - 0.35 * np.sin(p) + 0.35 * (0.5 + 0.5 * np.cos(p)),
+    )
+
+
+def _running_arm(figure: Figure, p: float) -> ArmAngles:
+    return ArmAngles(swing=-figure.swing * (0.95 * np.sin(p)) - 0.1, bend=1.25 + 0.4 * np.sin(p + np.pi))
 
 
 def _make_trunk(figure: Figure, pelvis: Array, chest: Array, waist: Array) -> list[Part]:
@@ -114,33 +225,31 @@ def _make_trunk(figure: Figure, pelvis: Array, chest: Array, waist: Array) -> li
     ]
 
 
-def _make_leg(figure: Figure, pelvis: Array, waist: Array, side: float, p: float) -> tuple[list[Part], list[Part]]:
+def _make_leg(figure: Figure, pelvis: Array, waist: Array, side: float, angles: LegAngles) -> list[Part]:
+    """Create the parts of a leg. The last part is the foot."""
     wear, girth = figure.wardrobe, figure.girth
-    swing = figure.swing * (0.18 + 0.78 * np.sin(p))
-    bend = 0.2 + 1.45 * (0.5 + 0.5 * np.cos(p + 0.35)) ** 1.5
     thigh, shin = 0.42 * figure.leg, 0.4 * figure.leg
-    upper = pelvis @ _rotation_x(side * 0.06) @ _rotation_y(-swing)
-    lower = upper @ _rotation_y(bend)
-    foot = lower @ _rotation_y(-0.1 - 0.35 * np.sin(p) + 0.35 * (0.5 + 0.5 * np.cos(p)))
+    upper = pelvis @ rotation_x(side * 0.06) @ rotation_y(-angles.swing)
+    lower = upper @ rotation_y(angles.bend)
+    foot = lower @ rotation_y(angles.foot)
     hip = waist + pelvis @ [0, side * 0.095 * girth, -0.09]
     knee = hip - upper[:, 2] * thigh
     ankle = knee - lower[:, 2] * shin
-    leg = [
+    heel = ankle + foot @ [-0.025, 0, -0.045]
+    return [
         _limb(upper, hip, 0.55 * thigh, 0.1 * girth, 0.092 * girth, wear.shorts),
         _limb(upper, hip - upper[:, 2] * 0.5 * thigh, 0.5 * thigh, 0.077 * girth, 0.06 * girth, wear.skin),
         _limb(lower, knee, 0.4 * shin, 0.059 * girth, 0.058 * girth, wear.skin),
         _limb(lower, knee - lower[:, 2] * 0.32 * shin, 0.68 * shin, 0.062 * girth, 0.043 * girth, wear.sock),
+        _cone(foot @ rotation_y(np.pi / 2), heel, 0.17, 0.056, 0.047, wear.shoe, (0.85, 1, 1)),
     ]
-    heel = ankle + foot @ [-0.025, 0, -0.045]
-    return leg, [_cone(foot @ _rotation_y(np.pi / 2), heel, 0.17, 0.056, 0.047, wear.shoe, (0.85, 1, 1))]
 
 
-def _make_arm(figure: Figure, chest: Array, waist: Array, side: float, p: float) -> list[Part]:
+def _make_arm(figure: Figure, chest: Array, waist: Array, side: float, angles: ArmAngles) -> list[Part]:
+    """Create the parts of an arm. The last part is the hand."""
     wear, girth = figure.wardrobe, figure.girth
-    swing = -figure.swing * (0.95 * np.sin(p)) - 0.1
-    bend = 1.25 + 0.4 * np.sin(p + np.pi)
-    upper = chest @ _rotation_x(side * 0.3) @ _rotation_y(-swing)
-    lower = upper @ _rotation_y(-bend) @ _rotation_x(-side * 0.2)
+    upper = chest @ rotation_x(side * angles.spread) @ rotation_y(-angles.swing)
+    lower = upper @ rotation_y(-angles.bend) @ rotation_x(-side * angles.inward)
     top, fore = 0.27 * figure.arm, 0.24 * figure.arm
     shoulder = waist + chest @ [0, side * 0.19 * girth, 0.39]
     elbow = shoulder - upper[:, 2] * top
@@ -187,10 +296,10 @@ def _make_ponytail(rotation: Array, root: Array, p: float, pattern: Pattern) -> 
     """Create the three links of the figure's ponytail. The swing of each link is delayed relative to the previous
     link."""
     parts = []
-    frame = rotation @ _rotation_y(1.1)
+    frame = rotation @ rotation_y(1.1)
     for link, (thin, thick) in enumerate(((0.03, 0.047), (0.047, 0.043), (0.043, 0.018))):
         lag = p - 0.7 * (link + 1)
-        frame = frame @ _rotation_y(-0.25 + 0.3 * np.cos(2 * lag)) @ _rotation_x(0.3 * np.sin(lag))
+        frame = frame @ rotation_y(-0.25 + 0.3 * np.cos(2 * lag)) @ rotation_x(0.3 * np.sin(lag))
         parts.append(_limb(frame, root, 0.085, thin, thick, pattern))
         root = root - frame[:, 2] * 0.085
     return parts
@@ -225,16 +334,16 @@ def _lowest_height(parts: Sequence[Part]) -> float:
     return float(heights.min() - softness * np.log(np.exp((heights.min() - heights) / softness).sum()))
 
 
-def _rotation_x(angle: float) -> Array:
+def rotation_x(angle: float) -> Array:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
 
 
-def _rotation_y(angle: float) -> Array:
+def rotation_y(angle: float) -> Array:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
 
-def _rotation_z(angle: float) -> Array:
+def rotation_z(angle: float) -> Array:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])

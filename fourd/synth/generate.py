@@ -3,33 +3,23 @@ and settings."""
 
 from __future__ import annotations
 
-import json
-import os
-import shutil
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from fourd.cameras import Camera, look_at
 from fourd.capture.calibration import write_calibration
 from fourd.capture.frame_rate import DEFAULT_FPS, check_rate, standard_rate, write_rate
 from fourd.errors import UserError
-from fourd.files import write_bytes_atomically, write_text_atomically
-from fourd.limits import read_json
-from fourd.progress import Terminal
 from fourd.synth.figure import Figure, make_figure, pose_figure
+from fourd.synth.folder import has_finished, prepare_folder, write_cameras, write_image, write_settings
 from fourd.synth.render import RenderedFigure, projected_extent, render_figure, render_plate
 
 Array = NDArray[np.float64]
 
-SETTINGS_NAME = "synth.json"
-VERSION = 1
 CYCLE_FRAMES = 24
 RING_RADIUS = 3.6
 RING_HEIGHTS = (1.35, 0.75, 2.15)
@@ -106,61 +96,24 @@ def make_synthetic(
     settings = SynthSettings(frames, cameras, size, seed, gloss, fps)
     if is_finished(out, settings):
         return
-    _prepare_folder(out)
-    _write_settings(out, settings, finished=False)
+    prepare_folder(out)
+    write_settings(out, asdict(settings), finished=False)
     figure = make_figure(seed)
     ring = _make_cameras(figure, settings)
     names = [f"{index:02d}" for index in range(cameras)]
     write_calibration(out, names, ring)
     write_rate(out, standard_rate(fps))
-    workers = min(4, os.cpu_count() or 1, cameras)
-    with _progress() as progress, ThreadPoolExecutor(workers) as pool:
-        task = progress.add_task("synth", total=frames * cameras)
-        jobs = [
-            pool.submit(_write_camera, out, name, camera, figure, settings, lambda: progress.advance(task))
-            for name, camera in zip(names, ring, strict=True)
-        ]
-        try:
-            for job in jobs:
-                job.result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-    _write_settings(out, settings, finished=True)
+    write_cameras(
+        names,
+        frames,
+        lambda index, advance: _write_camera(out, names[index], ring[index], figure, settings, advance),
+    )
+    write_settings(out, asdict(settings), finished=True)
 
 
 def is_finished(out: Path | str, settings: SynthSettings) -> bool:
     """Return whether ``out`` contains a finished capture with these settings."""
-    return read_settings(Path(out)) == {"version": VERSION, **asdict(settings), "finished": True}
-
-
-def read_settings(out: Path) -> dict[str, object] | None:
-    """Read the content of synth.json. Returns None if the file is missing or invalid."""
-    try:
-        content = read_json(out / SETTINGS_NAME)
-    except (OSError, ValueError):
-        return None
-    return content if isinstance(content, dict) and "version" in content else None
-
-
-def _write_settings(out: Path, settings: SynthSettings, *, finished: bool) -> None:
-    content = {"version": VERSION, **asdict(settings), "finished": finished}
-    write_text_atomically(out / SETTINGS_NAME, json.dumps(content, indent=1) + "\n")
-
-
-def _prepare_folder(out: Path) -> None:
-    """Create the folder ``out``. An older synthetic capture is removed, so that its frames do not mix with the new
-    frames."""
-    if out.exists() and not out.is_dir():
-        raise UserError(f"{out}: expected a folder, got a file; name another folder")
-    if out.is_dir() and any(out.iterdir()) and read_settings(out) is None:
-        raise UserError(
-            f"{out}: expected an empty folder or a synthetic capture ({SETTINGS_NAME}), got other files; "
-            "name another folder"
-        )
-    out.mkdir(parents=True, exist_ok=True)
-    for name in ("images", "masks", "truth"):
-        if (out / name).exists():
-            shutil.rmtree(out / name)
+    return has_finished(Path(out), asdict(settings))
 
 
 def gait_phase(frame: int, frames: int) -> float:
@@ -204,7 +157,7 @@ def _write_camera(
 ) -> None:
     """Write the clean plate (the image without the figure) and all frames of one camera."""
     plate = render_plate(camera, 2 * np.pi * figure.start)
-    _write_image(out / "truth" / "bgs" / f"{name}.png", np.round(255 * plate).astype(np.uint8)[..., ::-1])
+    write_image(out / "truth" / "bgs" / f"{name}.png", np.round(255 * plate).astype(np.uint8)[..., ::-1])
     for frame in range(settings.frames):
         parts = pose_figure(figure, gait_phase(frame, settings.frames))
         _write_frame(out, f"{name}/{frame:06d}", render_figure(parts, camera, plate, settings.gloss))
@@ -212,24 +165,6 @@ def _write_camera(
 
 
 def _write_frame(out: Path, stem: str, picture: RenderedFigure) -> None:
-    _write_image(out / "images" / f"{stem}.jpg", picture.rgb[..., ::-1])
-    _write_image(out / "masks" / f"{stem}.png", picture.mask)
-    _write_image(out / "truth" / "depth" / f"{stem}.png", picture.depth)
-
-
-def _write_image(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
-    options = [cv2.IMWRITE_JPEG_QUALITY, 95] if path.suffix == ".jpg" else []
-    done, content = cv2.imencode(path.suffix, np.ascontiguousarray(pixels), options)
-    if not done:
-        raise RuntimeError(f"{path}: the image could not be encoded")
-    write_bytes_atomically(path, content.tobytes())
-
-
-def _progress() -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=Terminal(stderr=True),
-    )
+    write_image(out / "images" / f"{stem}.jpg", picture.rgb[..., ::-1])
+    write_image(out / "masks" / f"{stem}.png", picture.mask)
+    write_image(out / "truth" / "depth" / f"{stem}.png", picture.depth)

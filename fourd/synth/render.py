@@ -50,9 +50,25 @@ def render_figure(parts: Sequence[Part], camera: Camera, plate: Array, gloss: fl
         plate: (H, W, 3) background, RGB in [0, 1].
         gloss: strength of highlights in [0, 1].
     """
+    rgb, coverage, depth = composite_parts(parts, camera, plate, gloss)
+    return RenderedFigure(as_uint8(rgb), as_uint8(coverage), as_millimetres(depth))
+
+
+def composite_parts(parts: Sequence[Part], camera: Camera, plate: Array, gloss: float) -> tuple[Array, Array, Array]:
+    """Render parts in front of a background image. Parts may be outside the image, or partly behind the camera, but the
+    camera must not be inside a part.
+
+    Returns:
+        colours (H, W, 3), RGB; the fraction (H, W) of each pixel's rays that hit a part; and the camera depth (H, W) of
+        the parts at the pixel centres in metres, 0 where there is none.
+    """
     height, width = camera.height, camera.width
     rgb, coverage, depth = plate.copy(), np.zeros((height, width)), np.zeros((height, width))
-    boxes = [_bounding_box(part, camera) for part in parts]
+    bounded = [(part, _bounding_box(part, camera)) for part in parts]
+    parts = [part for part, box in bounded if box[0] < box[2] and box[1] < box[3]]
+    boxes = [box for _, box in bounded if box[0] < box[2] and box[1] < box[3]]
+    if not parts:
+        return rgb, coverage, depth
     left, top = min(box[0] for box in boxes), min(box[1] for box in boxes)
     right, bottom = max(box[2] for box in boxes), max(box[3] for box in boxes)
     rows = max(1, BAND_SAMPLES // max((right - left) * SAMPLES**2, 1))
@@ -60,20 +76,18 @@ def render_figure(parts: Sequence[Part], camera: Camera, plate: Array, gloss: fl
         band = (left, start, right, min(start + rows, bottom))
         colour, hit, distance = _trace(parts, boxes, camera, band, gloss)
         rows_of_band = np.s_[start : band[3], left:right]
-        band_coverage = _average_samples(hit)
-        rgb[rows_of_band] = _average_samples(colour) + (1 - band_coverage)[..., None] * rgb[rows_of_band]
+        band_coverage = average_samples(hit)
+        rgb[rows_of_band] = average_samples(colour) + (1 - band_coverage)[..., None] * rgb[rows_of_band]
         coverage[rows_of_band] = band_coverage
         centres = np.s_[SAMPLES // 2 :: SAMPLES, SAMPLES // 2 :: SAMPLES]
         depth[rows_of_band] = np.where(hit[centres] > 0, distance[centres], 0)
-    return RenderedFigure(
-        _as_uint8(rgb), _as_uint8(coverage), np.clip(np.round(1000 * depth), 0, np.iinfo(np.uint16).max).astype("u2")
-    )
+    return rgb, coverage, depth
 
 
 def render_plate(camera: Camera, hue_shift: float) -> Array:
     """Render the empty studio (H, W, 3), RGB in [0, 1]: a tiled floor and a cylindrical wall with a radius of 6 m."""
     sides = np.arange(camera.width * SAMPLES), np.arange(camera.height * SAMPLES)
-    u, v = _pixel_rays(camera, *((side + 0.5) / SAMPLES for side in sides))
+    u, v = pixel_rays(camera, *((side + 0.5) / SAMPLES for side in sides))
     rotation = camera.rotation
     x, y, z = (u[None, :] * rotation[0, k] + v[:, None] * rotation[1, k] + rotation[2, k] for k in range(3))
     eye = camera.centre
@@ -88,7 +102,7 @@ def render_plate(camera: Camera, hue_shift: float) -> Array:
     backdrop = 0.36 + 0.07 * np.clip(z, 0, 4) + ring
     light = np.where(floor < wall, ground, backdrop)
     tint = np.where(floor < wall, 0.06, -0.07) * (1 + 0.3 * np.sin(hue_shift))
-    return _average_samples(np.stack([light * (1 + tint), light, light * (1 - tint)], axis=-1))
+    return average_samples(np.stack([light * (1 + tint), light, light * (1 - tint)], axis=-1))
 
 
 def _trace(
@@ -101,7 +115,7 @@ def _trace(
         1 if the ray meets the figure, and 0 otherwise.
     """
     left, top, right, bottom = band
-    u, v = _pixel_rays(
+    u, v = pixel_rays(
         camera,
         left + (np.arange((right - left) * SAMPLES) + 0.5) / SAMPLES,
         top + (np.arange((bottom - top) * SAMPLES) + 0.5) / SAMPLES,
@@ -114,7 +128,8 @@ def _trace(
         columns = slice(SAMPLES * (box[0] - left), SAMPLES * (box[2] - left))
         windows.append((rows, columns))
         t = _intersect(part, camera, u[columns], v[rows])
-        closer = t < nearest[rows, columns]
+        # A ray whose line enters the part behind the camera misses the part.
+        closer = (t > 0) & (t < nearest[rows, columns])
         np.copyto(nearest[rows, columns], t, where=closer)
         np.copyto(part_index[rows, columns], np.int16(index), where=closer)
     colour = np.zeros((*nearest.shape, 3))
@@ -205,10 +220,16 @@ def _normals(part: Part, local: Array) -> Array:
 def _bounding_box(part: Part, camera: Camera) -> Box:
     """Return the pixel bounds (left, top, right, bottom) of the part's projection, clipped to the image.
 
-    ``right`` and ``bottom`` are exclusive. The bounds are computed from the exact projections of two spheres whose
-    convex hull contains the part.
+    ``right`` and ``bottom`` are exclusive. The bounds of a part behind the camera are empty, and the bounds of a part
+    that extends to both sides of the camera's plane are the whole image. For all other parts, the bounds are computed
+    from the exact projections of two spheres whose convex hull contains the part.
     """
     k = camera.intrinsics
+    nearest, farthest = _depth_range(part, camera)
+    if farthest <= 0:
+        return 0, 0, 0, 0
+    if nearest <= 0:
+        return 0, 0, camera.width, camera.height
     edges: list[list[float]] = [[], []]
     for centre, radius in part.spheres():
         position = camera.rotation @ centre + camera.translation
@@ -219,6 +240,13 @@ def _bounding_box(part: Part, camera: Camera) -> Box:
     left, right = np.clip([np.floor(min(edges[0])), np.ceil(max(edges[0]))], 0, camera.width).astype(int)
     top, bottom = np.clip([np.floor(min(edges[1])), np.ceil(max(edges[1]))], 0, camera.height).astype(int)
     return int(left), int(top), int(right), int(bottom)
+
+
+def _depth_range(part: Part, camera: Camera) -> tuple[float, float]:
+    """Return the minimum and the maximum camera depth, in metres, of two spheres whose convex hull contains the
+    part."""
+    spheres = [(camera.rotation[2] @ centre + camera.translation[2], radius) for centre, radius in part.spheres()]
+    return float(min(z - radius for z, radius in spheres)), float(max(z + radius for z, radius in spheres))
 
 
 def projected_extent(parts: Sequence[Part], camera: Camera) -> Array:
@@ -236,7 +264,7 @@ def projected_extent(parts: Sequence[Part], camera: Camera) -> Array:
     return np.stack([np.min(spans, axis=0)[:, 0], np.max(spans, axis=0)[:, 1]], axis=1)
 
 
-def _pixel_rays(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
+def pixel_rays(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
     """Return arrays u and v such that (u[i], v[j], 1) is the ray, in camera coordinates, through the image position
     (x[i], y[j]) in pixels.
 
@@ -246,12 +274,18 @@ def _pixel_rays(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
     return (x - k[0, 2]) / k[0, 0], (y - k[1, 2]) / k[1, 1]
 
 
-def _average_samples(samples: Array) -> Array:
+def average_samples(samples: Array) -> Array:
     """Average the S x S rays of each pixel. The shape of the array changes from (h * S, w * S, ...) to (h, w, ...)."""
     height, width = samples.shape[0] // SAMPLES, samples.shape[1] // SAMPLES
     tiles: Array = samples.reshape(height, SAMPLES, width, SAMPLES, *samples.shape[2:])
     return np.asarray(tiles.mean(axis=(1, 3)), dtype=np.float64)
 
 
-def _as_uint8(values: Array) -> NDArray[np.uint8]:
+def as_uint8(values: Array) -> NDArray[np.uint8]:
+    """Convert values in [0, 1] to 8 bits. Values outside this range are clipped."""
     return np.asarray(np.round(255 * np.clip(values, 0, 1)), dtype=np.uint8)
+
+
+def as_millimetres(depth: Array) -> NDArray[np.uint16]:
+    """Convert depths from metres to millimetres in 16 bits. Depths above 65.535 m are clipped."""
+    return np.asarray(np.clip(np.round(1000 * depth), 0, np.iinfo(np.uint16).max), dtype=np.uint16)

@@ -21,7 +21,8 @@ from rich.progress import track
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.synth.figure import make_figure, pose_figure
-from fourd.synth.generate import SynthSettings, gait_phase, read_settings
+from fourd.synth.folder import read_settings
+from fourd.synth.generate import SynthSettings, gait_phase
 from fourd.synth.render import render_figure
 from fourd.training.evaluation.defects import jump_ratio
 from fourd.training.run import load_run
@@ -43,8 +44,8 @@ def main(arguments: Arguments) -> None:
     torch.set_grad_enabled(False)
     trained = load_run(arguments.run)
     content = read_settings(trained.run.config.capture)
-    if content is None:
-        raise UserError(f"{arguments.run}: expected a run on a capture of fourd synth, got another capture")
+    if content is None or "dome" in content:
+        raise UserError(f"{arguments.run}: expected a run on a capture of fourd synth (no --dome), got another capture")
     settings = SynthSettings(**{name: content[name] for name in SynthSettings.__dataclass_fields__})
     capture, layers = trained.run.capture, trained.run.config.train.layers
     frame = capture.frame_count // 2

@@ -1,7 +1,9 @@
-"""Make a synthetic capture with ground truth: a textured figure runs and leaps inside a ring of cameras."""
+"""Make a synthetic capture with ground truth: a textured figure runs and leaps inside a ring of cameras, or two people
+stand and walk in a dome."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -14,13 +16,19 @@ from fourd.cli.outputs import WRITES
 from fourd.errors import UserError
 from fourd.processes import locked_folder
 from fourd.progress import Terminal, Tracker
-from fourd.synth import SynthSettings, is_finished, make_synthetic
+from fourd.synth import SynthSettings, make_synthetic
 from fourd.synth.board_videos import BoardSettings, make_board_videos
-from fourd.synth.generate import read_settings
+from fourd.synth.dome import DomeSettings, make_dome, suggested_test_views
+from fourd.synth.folder import has_finished, read_settings
 
 FRAMES_HELP = "Number N of frames. The figure's motion repeats after N frames."
-CAMERAS_HELP = "Number of cameras on the ring, 3 to 100. With --board, number of cameras on an arc, 2 to 100."
-SIZE_HELP = "Width and height of the images in pixels, 32 to 4096. With --board, the minimum is 128."
+CAMERAS_HELP = (
+    "Number of cameras on the ring or in the dome, 3 to 100. With --board, number of cameras on an arc, 2 to 100."
+)
+SIZE_HELP = (
+    "Width and height of the images in pixels, 32 to 4096. With --board, the minimum is 128. With --dome, the minimum "
+    "is 64, and the height is 9/16 of the width."
+)
 
 
 @dataclass(frozen=True)
@@ -32,16 +40,22 @@ class Arguments:
     board: bool = False
     """Instead of a capture, make videos of a moving calibration board for fourd calibrate. The true calibration is
     written to OUT/truth/."""
+    dome: bool = False
+    """Instead of the ring, make a capture in a dome: the cameras are in the walls and have dark bodies, which the other
+    cameras see. One person stands, another one walks past cameras, and they throw a ball. Each camera has its own
+    exposure, white balance and noise."""
     frames: Annotated[str | None, option("0:N|N", "0:24, with --board 0:60", FRAMES_HELP)] = None
-    cameras: Annotated[int | None, option("INT", "12, with --board 4", CAMERAS_HELP)] = None
-    size: Annotated[int | None, option("INT", "256, with --board 640", SIZE_HELP)] = None
+    cameras: Annotated[int | None, option("INT", "12, with --board 4, with --dome 20", CAMERAS_HELP)] = None
+    size: Annotated[int | None, option("INT", "256, with --board 640, with --dome 320", SIZE_HELP)] = None
     seed: int = 0
     """Random seed, at least 0. The seed determines the figure's clothes, proportions and gait phase, or the board's
-    motion."""
+    motion, or the people and the details of the dome."""
     gloss: float = 0.3
     """Strength of the specular highlights, 0 to 1."""
     fps: float = DEFAULT_FPS
     """Frame rate of the capture in frames per second."""
+    masks: bool = True
+    """With --dome, --no-masks makes a capture without masks. The true masks are then in OUT/truth/masks/."""
 
 
 def run(arguments: Arguments) -> None:
@@ -51,27 +65,44 @@ def run(arguments: Arguments) -> None:
 
 
 def _make(arguments: Arguments) -> None:
-    console = Terminal(stderr=True)
-    defaults = BoardSettings(seed=arguments.seed) if arguments.board else SynthSettings(seed=arguments.seed)
-    frames = defaults.frames if arguments.frames is None else _frame_count(arguments.frames)
-    cameras = defaults.cameras if arguments.cameras is None else arguments.cameras
-    size = defaults.size if arguments.size is None else arguments.size
+    if arguments.board and arguments.dome:
+        raise UserError("--dome: expected one of --board and --dome, got both; leave out one of them")
+    if not arguments.masks and not arguments.dome:
+        raise UserError("--no-masks: expected the option --dome, got a capture without it; leave out --no-masks")
     if arguments.board:
-        videos = BoardSettings(frames, cameras, size, arguments.seed)
-        make_board_videos(arguments.out, videos, Tracker(console).track)
-        line = f"{arguments.out}: {videos.cameras} videos of {videos.frames} frames, {videos.board.describe()}"
-        console.print(line, soft_wrap=True, markup=False, highlight=False)
+        _make_board(arguments)
+    elif arguments.dome:
+        _make_dome(arguments)
+    else:
+        _make_ring(arguments)
+
+
+def _make_board(arguments: Arguments) -> None:
+    console = Terminal(stderr=True)
+    videos = BoardSettings(*_numbers(arguments, BoardSettings(seed=arguments.seed)), arguments.seed)
+    make_board_videos(arguments.out, videos, Tracker(console).track)
+    line = f"{arguments.out}: {videos.cameras} videos of {videos.frames} frames, {videos.board.describe()}"
+    console.print(line, soft_wrap=True, markup=False, highlight=False)
+
+
+def _make_dome(arguments: Arguments) -> None:
+    console = Terminal(stderr=True)
+    numbers = _numbers(arguments, DomeSettings(seed=arguments.seed))
+    settings = DomeSettings(*numbers, arguments.seed, arguments.gloss, arguments.fps, arguments.masks)
+    if _needs_making(arguments.out, settings.stored(), console):
+        make_dome(arguments.out, settings)
+        line = f"{arguments.out}: {settings.cameras} cameras x {settings.frames} frames"
+        console.print(line, soft_wrap=True, markup=False)
+    views = ",".join(suggested_test_views(settings))
+    console.print(f"Cameras with neighbours on all sides: --test-views {views}", soft_wrap=True)
+
+
+def _make_ring(arguments: Arguments) -> None:
+    console = Terminal(stderr=True)
+    numbers = _numbers(arguments, SynthSettings(seed=arguments.seed))
+    settings = SynthSettings(*numbers, arguments.seed, arguments.gloss, arguments.fps)
+    if not _needs_making(arguments.out, asdict(settings), console):
         return
-    settings = SynthSettings(frames, cameras, size, arguments.seed, arguments.gloss, arguments.fps)
-    if is_finished(arguments.out, settings):
-        console.print(f"{arguments.out}: already finished with these settings", soft_wrap=True)
-        return
-    old = read_settings(arguments.out)
-    if old is not None:
-        new = asdict(settings)
-        changes = [f"{name}: {old.get(name)} -> {new[name]}" for name in new if old.get(name) != new[name]]
-        reason = ", ".join(changes) or "it was not finished"
-        console.print(f"{arguments.out}: the synthetic capture is made again ({reason})", soft_wrap=True)
     make_synthetic(
         arguments.out,
         frames=settings.frames,
@@ -82,6 +113,31 @@ def _make(arguments: Arguments) -> None:
         fps=settings.fps,
     )
     console.print(f"{arguments.out}: {settings.cameras} cameras x {settings.frames} frames", soft_wrap=True)
+
+
+def _numbers(arguments: Arguments, defaults: BoardSettings | DomeSettings | SynthSettings) -> tuple[int, int, int]:
+    """Return the number of frames, the number of cameras and the size of the images."""
+    return (
+        defaults.frames if arguments.frames is None else _frame_count(arguments.frames),
+        defaults.cameras if arguments.cameras is None else arguments.cameras,
+        defaults.size if arguments.size is None else arguments.size,
+    )
+
+
+def _needs_making(out: Path, settings: Mapping[str, object], console: Terminal) -> bool:
+    """Return whether the capture does not exist with these settings. The state of an existing one is printed."""
+    if has_finished(out, settings):
+        console.print(f"{out}: already finished with these settings", soft_wrap=True)
+        return False
+    old = read_settings(out)
+    if old is not None:
+        names = [*settings, *(name for name in old if name not in (*settings, "version", "finished"))]
+        changes = [
+            f"{name}: {old.get(name)} -> {settings.get(name)}" for name in names if old.get(name) != settings.get(name)
+        ]
+        reason = ", ".join(changes) or "it was not finished"
+        console.print(f"{out}: the synthetic capture is made again ({reason})", soft_wrap=True)
+    return True
 
 
 def _frame_count(frames: str) -> int:
