@@ -1,5 +1,5 @@
-"""What moves in the dome: a person who stands still, a person who walks past cameras, and the ball that they throw to
-each other."""
+"""The dynamic parts of the dome: a person who stands still, a person who walks past cameras, and the ball that they
+throw to each other."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Cast:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What moves in the dome, at one time.
+    """The dynamic parts of the dome at one time.
 
     Attributes:
         standing: parts of the person who stands.
@@ -109,7 +109,7 @@ def lap_angle(frame: int, frames: int) -> float:
 
 
 def pose_cast(cast: Cast, angle: float) -> Moment:
-    """Compute everything that moves, at a time that is given by the angle of the lap in radians."""
+    """Compute all dynamic parts at a time that is given by the angle of the lap in radians."""
     standing, walking = _stand(cast.standing, angle), _walk(cast.walking, angle)
     position = _ball_position(angle, _place_of_ball(standing), _place_of_ball(walking))
     ball = Part(rotation_y(2 * angle), position, np.ones(3), 0.0, (BALL_RADIUS, BALL_RADIUS), BALL)
