@@ -62,6 +62,11 @@ class Camera:
         with np.errstate(over="ignore", invalid="ignore"):
             error = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
             determinant = float(np.linalg.det(self.rotation))
+        if error <= 1e-3 and determinant < 0:
+            raise ValueError(
+                "rotation: expected a rotation of determinant +1, got a reflection (determinant -1), as poses with one "
+                "flipped axis have"
+            )
         # "not (error <= ...)" also rejects NaN, which occurs if the matrix product overflows.
         if not (error <= 1e-3 and determinant > 0):
             raise ValueError(

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera
+from fourd.capture.focus import describe_inverted, is_reflection
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
 from fourd.formats.opencv_yaml import OpenCvYaml
@@ -104,8 +105,8 @@ def read_calibration(folder: Path | str) -> dict[str, Calibration]:
 
     Raises:
         UserError: if a file is missing or is not an OpenCV FileStorage, a value is missing, has a wrong shape or is not
-            finite, a rotation matrix is not orthonormal, or no camera has values in both files. The message contains
-            the file and the key.
+            finite, a rotation matrix is not orthonormal or mirrors, no camera has values in both files, or the poses
+            are surely camera-to-world poses. The message contains the file and the key.
     """
     return require_calibration(folder).calibrations
 
@@ -150,6 +151,9 @@ def check_calibration(folder: Path | str) -> CalibrationReport:
     if not names:
         message = f"expected cameras that are in {EXTRINSICS_NAME} too, got {', '.join(incomplete)}, which are not"
         errors.append(UserError(f"{intri.path}: {message}; calibrate the cameras again"))
+    inverted = describe_inverted([each.camera(each.width or 1, each.height or 1) for each in calibrations.values()])
+    if inverted is not None and inverted.is_sure:
+        errors.append(UserError(f"{extri.path}: {inverted.reason}; invert the poses (R and T) of all cameras"))
     return CalibrationReport(tuple(names), calibrations, tuple(errors), incomplete)
 
 
@@ -267,7 +271,9 @@ def _read_rotation(name: str, extri: _Storage) -> Array:
         return from_vector
     rotation = extri.matrix("Rot", name, (3, 3))
     error = float(np.abs(rotation - from_vector).max())
+    # Matrices that are no rotations are reported as such when the camera is made.
     is_rotation = np.abs(rotation @ rotation.T - np.eye(3)).max() < MAX_ROTATION_DIFFERENCE
+    is_rotation &= not is_reflection(rotation)
     if is_rotation and error > MAX_ROTATION_DIFFERENCE:
         raise UserError(
             f"{extri.path}: camera '{name}': expected R_{name} and Rot_{name} to be the same rotation, "

@@ -18,7 +18,7 @@ from fourd.capture.checks.damage import Skipped, decode_pictures
 from fourd.capture.checks.mattes import MatteTally
 from fourd.capture.checks.pictures import PictureCheck, describe_gaps
 from fourd.capture.decoding import decode_matte, decode_picture, read_header
-from fourd.capture.focus import find_focus
+from fourd.capture.focus import describe_inverted, find_focus
 from fourd.capture.frame_rate import read_rate
 from fourd.capture.layout import (
     MATTES,
@@ -33,6 +33,7 @@ from fourd.capture.layout import (
 from fourd.capture.pictures.alpha import ALPHA_NOTE, alpha_is_matte
 from fourd.capture.pictures.listing import list_images, list_masks
 from fourd.capture.pictures.masks import MaskFolder
+from fourd.capture.split import read_test_views, require_known
 from fourd.capture.video_list import Video, common_frames, common_rate, list_videos
 from fourd.errors import UserError
 from fourd.files import sort_names
@@ -71,6 +72,7 @@ class Report:
         nbytes: total size of all images, videos and mattes in bytes.
         skipped: the files that were not decoded because decoding all of them takes too long, or None.
         notes: how unusual content is read, one line each. Notes are not mistakes.
+        test_views: names of the cameras that training holds out by default, or None if the capture has no test split.
     """
 
     problems: tuple[str, ...]
@@ -86,6 +88,7 @@ class Report:
     nbytes: int
     skipped: Skipped | None = None
     notes: tuple[str, ...] = ()
+    test_views: tuple[str, ...] | None = None
 
 
 def check_capture(
@@ -148,6 +151,9 @@ class _Check:
             self.fps = self._try(read_rate, self.path)
             frames = sort_frames(set().union(*(found for found in images.values() if found)))
             self.warnings += describe_gaps(images_folder, frames)
+        test_views = self._try(read_test_views, self.path)
+        if test_views is not None:
+            self._try(require_known, self.path, test_views, names)
         self.is_alpha = bool(self._try(alpha_is_matte, self.path))
         masked = [] if self.is_alpha else names
         masks = {name: self._try(list_masks, masks_folder / name, frames) for name in masked}
@@ -188,6 +194,7 @@ class _Check:
             self.nbytes,
             skipped,
             tuple(notes),
+            test_views,
         )
 
     def _try(self, function: Callable[..., Value], *arguments: object) -> Value | None:
@@ -336,6 +343,11 @@ class _Check:
             return 0.0
         for line in describe_equal_positions(cameras):
             self.warnings.append(f"{self.path / 'extri.yml'}: {line}")
+        inverted = describe_inverted(list(cameras.values()))
+        if inverted is not None:
+            # If the evidence is sure, reading the calibration has already failed.
+            self.warnings += [] if inverted.is_sure else [f"{self.path / 'extri.yml'}: {inverted.reason}"]
+            return 0.0
         focus = find_focus(list(cameras.values()))
         if focus is None:
             return 0.0

@@ -186,7 +186,7 @@ def parse_frame_range(text: str | None, count: int, source: str = "capture") -> 
 
 def select_views(views: Sequence[str] | None, names: Sequence[str], option: str = "--views") -> list[str]:
     """Return the names of the selected cameras in the order of ``names``. If ``views`` is None, all cameras are
-    selected.
+    selected. A number also selects the only camera with this number as its name: 0 selects 00.
 
     Raises:
         UserError: if a name is unknown, or no camera is selected. For an unknown name, the message suggests the most
@@ -194,6 +194,7 @@ def select_views(views: Sequence[str] | None, names: Sequence[str], option: str 
     """
     if views is None:
         return list(names)
+    views = [_by_number(view, names) for view in views]
     for view in views:
         if view not in names:
             near = get_close_matches(view, names, 1, 0.0)
@@ -203,6 +204,14 @@ def select_views(views: Sequence[str] | None, names: Sequence[str], option: str 
     if not views:
         raise UserError(f"{option}: expected at least one camera name, got no names; give one of {', '.join(names)}")
     return [name for name in names if name in views]
+
+
+def _by_number(view: str, names: Sequence[str]) -> str:
+    """Return the name of the only camera with the same number as ``view``, such as 07 for 7, or ``view`` itself."""
+    if view in names or not (view.isascii() and view.isdecimal()):
+        return view
+    equal = [name for name in names if name.isascii() and name.isdecimal() and name.lstrip("0") == view.lstrip("0")]
+    return equal[0] if len(equal) == 1 else view
 
 
 def link_entries(capture: Path, target: Path, *, left_out: Set[str]) -> None:

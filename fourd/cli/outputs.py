@@ -20,7 +20,7 @@ from fourd.files import resolved
 from fourd.storage import Location, StorageUrl
 from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, LIVE, PREPARATION, SEGMENTS, VALIDATION
 
-CAPTURE_FILES = (INTRINSICS_NAME, EXTRINSICS_NAME, "images", "masks", VIDEOS, "bgs", "videos.json")
+CAPTURE_FILES = (INTRINSICS_NAME, EXTRINSICS_NAME, "images", "masks", VIDEOS, "bgs", "videos.json", "split.json")
 RUN_FILES = (CONFIG_NAME, CHECKPOINTS, SEGMENTS, VALIDATION, LIVE, "metrics.jsonl", *PREPARATION)
 
 

@@ -24,6 +24,11 @@ BACKGROUND_HELP = (
     "Source of the background points. Used only with --scene full. ngp: a radiance field fitted to the clean "
     "plates, guided by stereo depth maps. sfm: stereo depth maps only. FILE.ply: your own points, in world units."
 )
+TEST_VIEWS_DEFAULT = "the capture's test split, split.json, or none"
+TEST_VIEWS_HELP = (
+    "Names of held-out cameras, separated by commas, or none to train on all cameras. Held-out cameras are not used "
+    "for carving or training."
+)
 SEGMENT_HELP = (
     "Maximum number of frames of one model. A longer capture is divided into segments. Each segment has its own model "
     "and the whole training budget. Successive segments share 4 frames, in which the scene fades from one segment to "
@@ -83,8 +88,7 @@ class TrainingOptions:
         tyro.conf.UseAppendAction,
     ] = ()
     """Set any config key, for example --set rates.planes=1e-3 --set model.planes.levels=3."""
-    test_views: Annotated[str | None, _config_option("test_views", "NAME,NAME")] = None
-    """Names of held-out cameras, separated by commas. Held-out cameras are not used for carving or training."""
+    test_views: Annotated[str | None, option("NAME,NAME|none", TEST_VIEWS_DEFAULT, TEST_VIEWS_HELP)] = None
     views: Annotated[str | None, _config_option("views", "NAME,NAME", VIEWS_HELP)] = None
     frames: Annotated[str | None, _config_option("frames", "A:B[:S]", FRAMES_HELP)] = None
     scale: Annotated[float | None, _config_option("scale", "FLOAT")] = None
@@ -160,7 +164,7 @@ def _config_values(name: str, key: str, value: Any) -> dict[str, Any]:
     if name == "background":
         return _seeding(value)
     if name in ("views", "test_views"):
-        value = split_names(value)
+        value = () if name == "test_views" and value.strip() == "none" else split_names(value)
     return {key.rpartition(".")[2]: value}
 
 

@@ -16,6 +16,7 @@ from fourd.importing.formats import (
     dna_rendering,
     easymocap,
     neural3dv,
+    panoptic_sports,
     qualisys,
     transforms_json,
     videos,
@@ -66,6 +67,12 @@ FORMATS = (
         is_metric=True,
     ),
     Format("neural3dv", "poses_bounds.npy and camNN.mp4", neural3dv.looks_like, neural3dv.read),
+    Format(
+        "panoptic-sports",
+        "train_meta.json, ims/ and seg/ of Dynamic 3D Gaussians",
+        panoptic_sports.looks_like,
+        panoptic_sports.read,
+    ),
     Format("actorshq", "calibration.csv, rgbs/ and masks/", actorshq.looks_like, actorshq.read, is_metric=True),
     Format(
         "dna-rendering", "NAME.smc and NAME_annots.smc", dna_rendering.looks_like, dna_rendering.read, is_metric=True

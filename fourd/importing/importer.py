@@ -12,6 +12,7 @@ from fourd.calibration.scale import Distance, set_world_frame
 from fourd.calibration.structure_from_motion import calibrate_from_pictures
 from fourd.cameras import describe_equal_positions
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
+from fourd.capture.focus import describe_inverted
 from fourd.capture.frame_rate import FPS_IS_FOR_PICTURES, read_rate, standard_rate
 from fourd.capture.layout import DERIVED, refuse_symlinks, sample_indices
 from fourd.capture.pictures.alpha import ALPHA_NOTE, alpha_is_matte
@@ -130,6 +131,8 @@ def import_source(
     if options.calibration is not None:
         imported = apply_calibration(imported, source_format.name, Path(options.calibration))
     needs_calibration = _check_options(imported, source, options)
+    if not needs_calibration:
+        warnings += _check_poses(imported, source)
     for note in imported.notes:
         log(note)
     calibration, files, asked = *digests(imported), asdict(options)
@@ -264,6 +267,14 @@ def _describe_mattes(out: Path, warnings: list[str]) -> list[str]:
     except UserError as error:
         warnings.append(str(error))
         return []
+
+
+def _check_poses(imported: Imported, source: Path) -> list[str]:
+    """Return a warning if the poses of a source look like camera-to-world. Raises UserError if they surely are."""
+    inverted = describe_inverted([camera.calibration for camera in imported.cameras if camera.calibration is not None])
+    if inverted is not None and inverted.is_sure:
+        raise UserError(f"{source}: {inverted.reason}; invert the poses of all cameras")
+    return [] if inverted is None else [f"{source}: {inverted.reason}; check the poses"]
 
 
 def _has_calibration(out: Path) -> bool:

@@ -15,6 +15,7 @@ from fourd.capture.calibration import write_calibration
 from fourd.capture.frame_rate import NAME as RATE_NAME
 from fourd.capture.frame_rate import write_rate
 from fourd.capture.layout import VIDEOS, frame_name
+from fourd.capture.split import write_test_views
 from fourd.capture.video import VideoIndex, VideoReader
 from fourd.capture.video_list import Video, align_videos, common_frames, common_rate, write_video_list
 from fourd.errors import UserError
@@ -95,6 +96,8 @@ def write_capture(
     elif settings.unpack or not videos:
         write_rate(out, rate)
     calibrations = {camera.name: camera.calibration for camera in imported.cameras if camera.calibration is not None}
+    if imported.test_views:
+        write_test_views(out, imported.test_views)
     if calibrations:
         write_calibration(out, list(calibrations), list(calibrations.values()))
     return notes

@@ -32,6 +32,7 @@ from fourd.pipeline.stored.results import StoredResults
 from fourd.pipeline.work_folder import RUN
 from fourd.processes import locked_folder
 from fourd.storage import Location, StorageUrl, check_writable, upload_changed
+from fourd.training.cameras.selection import with_test_split
 from fourd.training.config import TrainConfig
 from fourd.training.run import Run
 from fourd.training.run_layout import CONFIG_NAME, PREPARATION, SOURCE
@@ -227,6 +228,7 @@ def _run_graph(request: SceneRequest, source: RunRequest, work: Path, out: Path,
     # The import runs first, because the contents of the imported capture decide which stages follow.
     capture = work / CAPTURE if to_capture else given
     runner.run((check_stage(capture), repair_stage(capture, work / REPAIRED)))
+    train = with_test_split(train, capture, context.log)
     capture = repaired_capture(capture, work / REPAIRED)
     is_still = source.points_from is None and stands_still(capture, train)
     if is_still:
@@ -270,7 +272,9 @@ def create_run(
             earlier call.
     """
     require_new_run(folder)
-    Runner(context or Context()).run(stages_to_first_points(RunRequest(capture, folder, train, points_from)))
+    context = context or Context()
+    train = with_test_split(train, capture, context.log)
+    Runner(context).run(stages_to_first_points(RunRequest(capture, folder, train, points_from)))
     return start_run(capture, folder, train)
 
 

@@ -299,8 +299,9 @@ class TrainConfig:
     """Scale of the images. A scale of 0.5 halves width and height."""
     views: tuple[str, ...] | None = None
     """Names of the cameras to use. If null, all cameras are used."""
-    test_views: tuple[str, ...] = ()
-    """Names of held-out cameras, which are used neither for training nor as source views."""
+    test_views: tuple[str, ...] | None = None
+    """Names of held-out cameras, which are used neither for training nor as source views. If null, the capture's test
+    split (`split.json`) is held out, if it has one. An empty list holds out no camera."""
     frames: str | None = None
     """Frames to use, written A:B, or A:B:S to use every S-th frame. Frame B is excluded. If null, all frames are
     used."""

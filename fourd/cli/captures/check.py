@@ -122,6 +122,8 @@ def _facts(name: str, report: Report, agreement: Agreement | None, quality: Matt
     kept = "" if quality is None else f"; the visual hull covers {quality.kept_share:.0%} of them"
     mattes = "yes" if report.has_masks else "none; fourd make or fourd matte makes them"
     table.add_row("mattes", mattes + coverage + kept)
+    if report.test_views is not None:
+        table.add_row("held out", f"{', '.join(report.test_views) or 'no camera'} by default (test split)")
     if report.skipped is not None:
         table.add_row("damage", str(report.skipped))
     table.add_row("size", f"{report.nbytes / 1e6:.1f} MB")

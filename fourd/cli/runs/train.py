@@ -26,6 +26,7 @@ from fourd.pipeline.stages.train import TrainFiles, require_divisible
 from fourd.processes import locked_folder
 from fourd.progress import Terminal
 from fourd.storage import StorageUrl
+from fourd.training.cameras.selection import with_test_split
 from fourd.training.config import TrainConfig
 from fourd.training.distributed.process_group import ProcessGroup, join_process_group
 from fourd.training.losses.lpips import load_lpips
@@ -85,6 +86,7 @@ def _run_stages(arguments: Arguments, group: ProcessGroup) -> None:
     else:
         if isinstance(given, StorageUrl):
             Runner(context).run([fetch_stage(given, copies)])
+        config = with_test_split(config, capture, context.log)
         request = RunRequest(
             capture,
             arguments.out,

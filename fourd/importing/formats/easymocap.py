@@ -19,6 +19,7 @@ from fourd.capture.calibration import (
     require_calibration,
 )
 from fourd.capture.decoding import picture_size
+from fourd.capture.split import read_test_views, require_known
 from fourd.capture.video import first_frame
 from fourd.errors import UserError
 from fourd.importing.folders import find_frames, join_calibrations, list_entries, match_names
@@ -70,7 +71,9 @@ def read(source: Path, frames: Path | None = None) -> Imported:
         cameras_by_name[name] = _make_camera(path, name, calibration, found.get(name))
     cameras, notes = join_calibrations(found_frames, cameras_by_name, path, [data / name for name in MASK_FOLDERS])
     kept = "lengths and pixel coordinates are kept as in the calibration"
-    return Imported(cameras, (kept, *report.notes, *notes))
+    test_views = read_test_views(data) or ()
+    require_known(data, test_views, [camera.name for camera in cameras])
+    return Imported(cameras, (kept, *report.notes, *notes), test_views=test_views)
 
 
 def _make_camera(path: Path, name: str, calibration: Calibration, frames: Frames | None) -> Camera:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fourd.capture import Capture, open_capture
+from fourd.capture import Capture, open_capture, read_calibration
 from fourd.capture.layout import select_views
+from fourd.capture.split import NAME as SPLIT_NAME
+from fourd.capture.split import read_test_views, require_known
 from fourd.errors import UserError
+from fourd.progress import Log
 from fourd.training.cameras.calibration import with_start_cameras
 
 if TYPE_CHECKING:
@@ -31,7 +34,28 @@ class DataSelection:
     @classmethod
     def of(cls, train: TrainConfig) -> DataSelection:
         """Return the views, frames and image scale that a training config selects."""
-        return cls(train.views, train.test_views, train.frames, train.image_scale)
+        return cls(train.views, train.test_views or (), train.frames, train.image_scale)
+
+
+def with_test_split(train: TrainConfig, capture: Path, log: Log) -> TrainConfig:
+    """Return a training config whose ``test_views`` is set. If it is null, the test split of the capture is used.
+
+    Raises:
+        UserError: if the test split is damaged or names an unknown camera.
+    """
+    split = read_test_views(capture) if train.test_views is None else None
+    if split is None:
+        return replace(train, test_views=train.test_views or ())
+    require_known(capture, split, list(read_calibration(capture)))
+    # Cameras that the user leaves out with --views cannot be held out.
+    chosen = None if train.views is None else select_views(train.views, list(read_calibration(capture)))
+    held_out = tuple(name for name in split if chosen is None or name in chosen)
+    if held_out:
+        log(
+            f"held out: {', '.join(held_out)}, the test split in {capture / SPLIT_NAME}; to train on all cameras, add "
+            "--test-views none"
+        )
+    return replace(train, test_views=held_out)
 
 
 @dataclass(frozen=True)
