@@ -31,7 +31,7 @@ from fourd.capture.layout import (
     sort_frames,
 )
 from fourd.capture.pictures.alpha import ALPHA_NOTE, alpha_is_matte
-from fourd.capture.pictures.listing import list_images, list_masks
+from fourd.capture.pictures.listing import list_images, list_masks, masked_cameras
 from fourd.capture.pictures.masks import MaskFolder
 from fourd.capture.split import read_test_views, require_known
 from fourd.capture.video_list import Video, common_frames, common_rate, list_videos
@@ -64,6 +64,7 @@ class Report:
         fps: frame rate of the recording in 1/s, or None if it is not known.
         sizes: (width, height) of the images in pixels, keyed by camera name.
         has_masks: whether there are mattes.
+        masked: names of the cameras of which the user provided masks.
         distorted: number of cameras with lens distortion.
         ring_radius: mean distance between the cameras and their common focus in world units; 0 if there is no common
             focus.
@@ -89,6 +90,7 @@ class Report:
     skipped: Skipped | None = None
     notes: tuple[str, ...] = ()
     test_views: tuple[str, ...] | None = None
+    masked: tuple[str, ...] = ()
 
 
 def check_capture(
@@ -160,8 +162,9 @@ class _Check:
         has_masks = self.is_alpha or any(masks.values())
         for name, found in images.items():
             self._check_folder(images_folder / name, found, frames)
-        for name, found in masks.items() if any(masks.values()) else ():
-            self._check_folder(masks_folder / name, found, frames)
+        for name, found in masks.items():
+            # A camera needs no masks. The mattes of cameras without masks are made from the masks of the others.
+            self._check_folder(masks_folder / name, found or None, frames)
         files = [images_folder / name / file for name, found in images.items() for file in (found or {}).values()]
         files += [masks_folder / name / file for name, found in masks.items() for file in (found or {}).values()]
         sized = [
@@ -195,6 +198,7 @@ class _Check:
             skipped,
             tuple(notes),
             test_views,
+            tuple(name for name in self._try(masked_cameras, self.path) or () if name in names),
         )
 
     def _try(self, function: Callable[..., Value], *arguments: object) -> Value | None:
@@ -300,8 +304,8 @@ class _Check:
     def _decode_file(self, file: Path) -> None:
         if not self._is_matte(file):
             rgba = self._try(decode_picture, file)
-            if rgba is not None and self.is_alpha:
-                self.mattes.add(file, rgba[..., 3] if rgba.shape[2] == 4 else np.full(rgba.shape[:2], 255, np.uint8))
+            if rgba is not None and self.is_alpha and rgba.shape[2] == 4:
+                self.mattes.add(file, rgba[..., 3])
             return
         is_generated = file.is_relative_to(self.path / MATTES)
         matte = self._try(decode_matte if is_generated else self.masks.decode, file)

@@ -33,6 +33,7 @@ from fourd.capture.pictures.orientation import check_turned
 from fourd.capture.video import VideoReader
 from fourd.capture.video_list import Video, common_frames, common_rate, list_videos
 from fourd.errors import UserError, command_line
+from fourd.progress import Log
 
 
 class Capture:
@@ -119,7 +120,47 @@ class Capture:
     @property
     def has_masks(self) -> bool:
         """Whether every selected camera has mattes."""
-        return all(footage.mattes is not None for footage in self._footage)
+        return len(self.masked) == len(self.names)
+
+    @property
+    def masked(self) -> list[int]:
+        """Indices of the cameras that have mattes."""
+        return [index for index, footage in enumerate(self._footage) if footage.mattes is not None]
+
+    @property
+    def generated(self) -> list[int]:
+        """Indices of the cameras whose mattes fourd has generated."""
+        mattes = [footage.mattes for footage in self._footage]
+        return [index for index, each in enumerate(mattes) if each is not None and each.is_generated]
+
+    def with_mattes(self, log: Log) -> Capture:
+        """Return the capture without the cameras that have no mattes, whose names are logged.
+
+        Raises:
+            UserError: if fewer than two cameras have mattes.
+        """
+        masked = self.masked
+        if len(masked) < min(2, len(self.names)):
+            got = "those of 1 camera" if masked else "none"
+            raise UserError(
+                f"{self.path}: expected masks/CAM/FRAME.png or mattes, got {got}; "
+                f"make mattes with: {command_line('fourd', 'matte', self.path)}"
+            )
+        if len(masked) == len(self.names):
+            return self
+        unused = [name for index, name in enumerate(self.names) if index not in masked]
+        log(f"{self.path}: not used, because these cameras have no mattes: {', '.join(unused)}")
+        return self.select(masked)
+
+    def select(self, indices: Sequence[int]) -> Capture:
+        """Return the capture with only the cameras ``indices``."""
+        other = copy(self)
+        other.names = tuple(self.names[index] for index in indices)
+        other.cameras = tuple(self.cameras[index] for index in indices)
+        other._distorted_cameras = tuple(self._distorted_cameras[index] for index in indices)
+        other._footage = tuple(self._footage[index] for index in indices)
+        other._cache = self._cache.empty_copy()
+        return other
 
     def time(self, frame: int) -> float:
         """Return the time of a selected frame, in [0, 1]. If the frame is number f, counted from 0, of the F frames in
@@ -193,7 +234,8 @@ def open_capture(
         scale: factor in (0, 4] by which images are resized.
         cache_mb: size of the cache of decoded images in MiB.
         cache_frames: number of frames, with one image per camera, that the cache can hold in addition to ``cache_mb``.
-        mattes: whether to open mattes; if any camera has mattes, all selected cameras and frames must have them.
+        mattes: whether to open mattes. A camera needs none, but if it has masks, it must have them for all selected
+            frames.
 
     Raises:
         UserError: if files are missing or inconsistent, or the selection is empty.
@@ -224,26 +266,10 @@ def open_capture(
             replace(of, mattes=open_mattes(path, name, of.images, own, chosen))
             for name, of in zip(names, footage, strict=True)
         ]
-    _check_mattes(path, names, footage)
     cameras = [_to_camera(path, name, calibrations[name], of) for name, of in zip(names, footage, strict=True)]
     count = len(all_frames)
     fps = None if rate is None else float(rate / selected.step)
     return Capture(path, names, cameras, footage, chosen, list(selected), count, scale, cache_mb, cache_frames, fps)
-
-
-def _check_mattes(path: Path, names: Sequence[str], footage: Sequence[Footage]) -> None:
-    """Check that either all cameras or no cameras have mattes.
-
-    Raises:
-        UserError: if some cameras have mattes and others have none.
-    """
-    for name, of_camera in zip(names, footage, strict=True):
-        if (of_camera.mattes is None) != (footage[0].mattes is None):
-            unmatted = name if of_camera.mattes is None else names[0]
-            raise UserError(
-                f"{path / 'masks' / unmatted}: expected mattes, since other cameras have mattes, got none; "
-                "add them or exclude the camera with --views"
-            )
 
 
 def _list_video_frames(path: Path, videos: Mapping[str, Video]) -> list[str]:
@@ -326,6 +352,10 @@ class _ArrayCache:
     def __init__(self, max_bytes: int) -> None:
         self._max_bytes = max_bytes
         self._arrays: LRUCache[object, NDArray[Any]] = LRUCache(max_bytes, getsizeof=lambda array: array.nbytes)
+
+    def empty_copy(self) -> _ArrayCache:
+        """Return an empty cache of the same size."""
+        return _ArrayCache(self._max_bytes)
 
     def __reduce__(self) -> tuple[type[_ArrayCache], tuple[int]]:
         """Pickle the cache without its arrays, so that other processes do not receive the arrays."""

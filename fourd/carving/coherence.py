@@ -25,6 +25,10 @@ Flags = NDArray[np.bool_]
 
 MAX_CELLS = 40_000
 """The hull's cells are subdivided repeatedly, until there are more cells than this number."""
+MAX_MATTE_CELLS = 150_000
+"""The same limit for hulls whose silhouettes become mattes."""
+HULL_AGREEMENT = 0.95
+HULL_LEAST_VIEWS = 1 / 2
 THRESHOLD = 128
 
 
@@ -96,6 +100,29 @@ def frame_coherence(
             np.count_nonzero(matte & whole) / np.count_nonzero(matte | whole),
         )
     return FrameCoherence(shares[0], shares[1], shares[2], area)
+
+
+def hull_silhouettes(
+    masks: Sequence[NDArray[np.uint8]], cameras: Sequence[Camera], targets: Sequence[Camera]
+) -> list[NDArray[np.uint8]]:
+    """Return mattes (H, W) uint8, 255 = object, of the cameras ``targets``: the silhouettes of the visual hull.
+
+    A matte covers the object and more, because the hull contains the object. The fewer views there are, the more it
+    covers.
+
+    Args:
+        masks: mattes (H, W) uint8 of one frame, one per camera; 255 is the object. At least 3 mattes are required.
+        cameras: undistorted pinhole cameras of the masks.
+        targets: undistorted pinhole cameras without masks.
+    """
+    focus, reach = viewing_region(cameras)
+    views = Silhouettes.from_masks(masks, cameras, focus, agreement=HULL_AGREEMENT, least_views=HULL_LEAST_VIEWS)
+    cells, size = candidate_cells(views, 1.5 * reach)
+    while 0 < cells.shape[1] <= MAX_MATTE_CELLS:
+        cells, size = refine(cells[:, views.may_contain_object(cells, size)], size)
+    seen, outside = _votes(views, cells, size)
+    hull = cells[:, _is_hull(views, seen.sum(axis=0), outside.sum(axis=0))] + focus[:, None]
+    return [np.where(_silhouette(hull, size, target), np.uint8(255), np.uint8(0)) for target in targets]
 
 
 def _votes(views: Silhouettes, cells: Floats, size: float) -> tuple[Flags, Flags]:

@@ -41,10 +41,11 @@ def find_foreign_mattes(path: Path | str, track: Track = untracked) -> list[str]
     Raises:
         UserError: if the capture cannot be opened, or an image cannot be decoded.
     """
-    with open_capture(path) as capture:
+    with open_capture(path) as opened:
+        # If the user provided masks of some cameras, the mattes of the others are only as exact as a visual hull.
+        own = [index for index in opened.masked if index not in opened.generated]
+        capture = opened.select(own or opened.masked)
         count = len(capture.names)
-        if not capture.has_masks:
-            return []
         frames = sample_indices(capture.frame_count, FRAMES)
         foreign = []
         for index in track(range(len(capture.names)), len(capture.names), "mattes"):

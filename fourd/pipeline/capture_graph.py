@@ -4,14 +4,17 @@ needs the packages for training."""
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from fourd.capture.calibration import INTRINSICS_NAME
-from fourd.capture.layout import VIDEOS, camera_folders
+from fourd.capture.layout import VIDEOS, camera_folders, find_videos, select_views
 from fourd.capture.pictures.alpha import alpha_is_matte
+from fourd.capture.pictures.listing import masked_cameras
 from fourd.errors import UserError, command_line
 from fourd.importing.importer import ImportOptions
 from fourd.pipeline.runner import AnyStage
+from fourd.pipeline.stages.hull_mattes import MIN_MASKED, hull_matte_settings, hull_mattes_stage
 from fourd.pipeline.stages.import_ import import_stage
 from fourd.pipeline.stages.mattes import MatteStageSettings, mattes_stage
 from fourd.pipeline.stages.plates import capture_plates_stage
@@ -24,11 +27,25 @@ def has_masks(capture: Path) -> bool:
     return bool(camera_folders(capture / MASKS)) or alpha_is_matte(capture)
 
 
+def lacks_masks(capture: Path, views: Sequence[str] | None = None) -> bool:
+    """Return True if the user provided no masks of one or more of the cameras ``views``. If ``views`` is None, all
+    cameras are meant."""
+    return not has_masks(capture) or bool(_partly_masked(capture, views))
+
+
+def _partly_masked(capture: Path, views: Sequence[str] | None) -> list[str]:
+    """Return the selected cameras of a capture with masks if some of them have no masks, otherwise an empty list."""
+    folder = capture / "images"
+    found = camera_folders(folder) or list(find_videos(capture / VIDEOS))
+    names, masked = select_views(views, found), masked_cameras(capture)
+    return [] if set(names) <= set(masked) else names
+
+
 def is_usable(source: Path) -> bool:
-    """Return True if a folder is a capture that needs no import. A capture without masks must be writable, because
-    fourd stores the mattes in its folder."""
+    """Return True if a folder is a capture that needs no import. A capture without masks of all cameras must be
+    writable, because fourd stores the mattes in its folder."""
     is_capture = (source / INTRINSICS_NAME).is_file() and any((source / name).is_dir() for name in ("images", VIDEOS))
-    return is_capture and (has_masks(source) or os.access(source, os.W_OK))
+    return is_capture and (not lacks_masks(source) or os.access(source, os.W_OK))
 
 
 def stages_to_capture(source: Path, imported: Path, options: ImportOptions) -> tuple[AnyStage, ...]:
@@ -50,10 +67,43 @@ def stages_to_capture(source: Path, imported: Path, options: ImportOptions) -> t
     return ()
 
 
-def stages_to_mattes(capture: Path, settings: MatteStageSettings, plates: bool = True) -> tuple[AnyStage, ...]:
-    """Return the stages that make the mattes and the plates of a capture. If the user provided masks, no stage makes
-    mattes."""
-    stages: list[AnyStage] = [] if has_masks(capture) else [mattes_stage(capture, settings)]
+def stages_to_hull_mattes(
+    capture: Path, views: Sequence[str] | None, frames: str | None, test_views: Sequence[str]
+) -> tuple[AnyStage, ...]:
+    """Return the stage that makes the mattes of cameras without masks from the masks of the other cameras. There is
+    none if all or fewer than three of the training cameras have masks."""
+    names = _partly_masked(capture, views) if has_masks(capture) else []
+    if not names:
+        return ()
+    held_out = select_views(test_views, names, "--test-views") if test_views else []
+    settings = hull_matte_settings(capture, names, held_out, frames)
+    return (hull_mattes_stage(capture, settings),) if len(settings.given) >= MIN_MASKED else ()
+
+
+def stages_to_mattes(
+    capture: Path,
+    settings: MatteStageSettings,
+    plates: bool = True,
+    *,
+    test_views: Sequence[str] = (),
+    from_hull: bool = True,
+) -> tuple[AnyStage, ...]:
+    """Return the stages that make the mattes and the plates of a capture.
+
+    If the user provided masks of all selected cameras, no stage makes mattes. If the user provided masks of some
+    cameras, the mattes of the others are made from these masks; see :mod:`fourd.pipeline.stages.hull_mattes`.
+
+    Args:
+        capture: the capture's folder.
+        settings: the selected cameras and frames, and the method of matting.
+        plates: whether to also make plates.
+        test_views: held-out cameras, whose masks must not influence the mattes of other cameras.
+        from_hull: whether masks of at least three cameras take the place of the method of ``settings``.
+    """
+    stages: list[AnyStage] = []
+    if lacks_masks(capture, settings.views):
+        hull = stages_to_hull_mattes(capture, settings.views, settings.frames, test_views) if from_hull else ()
+        stages += hull or (mattes_stage(capture, settings),)
     if plates:
         stages.append(capture_plates_stage(capture, settings))
     return tuple(stages)

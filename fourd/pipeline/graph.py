@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fourd.matting.sequence import MatteSettings
-from fourd.pipeline.capture_graph import has_masks, stages_to_mattes
+from fourd.pipeline.capture_graph import has_masks, lacks_masks, stages_to_hull_mattes, stages_to_mattes
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.segments import divide_stage, segment_stages
 from fourd.pipeline.stages.adjust import AdjustSettings, adjust_stage
@@ -89,9 +89,11 @@ def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple
 
 
 def stages_to_run(request: RunRequest) -> tuple[AnyStage, ...]:
-    """Return the stages that train a run. The capture must have masks or mattes."""
+    """Return the stages that train a run. The capture must have masks or mattes, at least of some cameras."""
     files = TrainFiles(request.capture, request.run, request.lpips_weights)
-    return (*stages_to_first_points(request), *training_stages(files, request.train))
+    train = request.train
+    made = stages_to_hull_mattes(request.capture, train.views, train.frames, train.test_views or ())
+    return (*made, *stages_to_first_points(request), *training_stages(files, train))
 
 
 def training_stages(files: TrainFiles, config: TrainConfig) -> tuple[AnyStage, ...]:
@@ -107,16 +109,24 @@ def stages_to_resume(files: TrainFiles, config: TrainConfig) -> tuple[AnyStage, 
     return (train_stage(files, config),) if config.segments.frames is None else segment_stages(files, config)
 
 
-def stages_to_scene(request: RunRequest, mattes: MatteSettings | None, scene: Path) -> tuple[AnyStage, ...]:
+def stages_to_scene(
+    request: RunRequest, mattes: MatteSettings | None, scene: Path, *, from_hull: bool = True
+) -> tuple[AnyStage, ...]:
     """Return the stages that make the scene file ``scene`` from a capture that was already checked.
 
-    If ``mattes`` is None, the capture already has its mattes.
+    If ``mattes`` is None, the capture already has its mattes. If ``from_hull`` is true and the user provided masks of
+    some cameras, the mattes of the other cameras are made from these masks.
     """
     train = request.train
     made: tuple[AnyStage, ...] = ()
-    if mattes is not None and not has_masks(request.capture):
-        made = stages_to_mattes(request.capture, MatteStageSettings(train.views, train.frames, mattes))
-    prepared = stages_to_first_points(request, plates=not made)
+    # With masks of some cameras, the run's own plates are made, as with masks of all cameras.
+    plates = mattes is not None and not has_masks(request.capture)
+    if mattes is not None and lacks_masks(request.capture, train.views):
+        settings = MatteStageSettings(train.views, train.frames, mattes)
+        made = stages_to_mattes(
+            request.capture, settings, plates, test_views=train.test_views or (), from_hull=from_hull
+        )
+    prepared = stages_to_first_points(request, plates=not plates)
     trained = training_stages(TrainFiles(request.capture, request.run, request.lpips_weights), train)
     names = tuple(stage.name for stage in trained)
     bake = bake_stage(BakeFiles(request.run, scene), BakeSettings(), request.capture, names)

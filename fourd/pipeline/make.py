@@ -14,7 +14,7 @@ from fourd.errors import UserError, command_line
 from fourd.files import atomic_path, is_unused, remove_unfinished, remove_unfinished_file, require_suffix
 from fourd.importing.importer import ImportOptions
 from fourd.matting.sequence import MatteSettings, chosen_method, forget_choice
-from fourd.pipeline.capture_graph import has_masks, stages_to_capture
+from fourd.pipeline.capture_graph import lacks_masks, stages_to_capture
 from fourd.pipeline.cluster import Cluster
 from fourd.pipeline.fetch import fetch_stage, fetched_path
 from fourd.pipeline.graph import RunRequest, stages_to_first_points, stages_to_scene
@@ -58,7 +58,7 @@ class MatteChoice:
 
     def settings_for(self, capture: Path, context: Context) -> MatteSettings | None:
         """Return the settings for making mattes of ``capture``. If its mattes are kept, log this and return None."""
-        method = chosen_method(capture) if self.keep_chosen and not has_masks(capture) else None
+        method = chosen_method(capture) if self.keep_chosen and lacks_masks(capture) else None
         if method is None:
             if not self.keep_chosen:
                 forget_choice(capture)
@@ -236,10 +236,11 @@ def _run_graph(request: SceneRequest, source: RunRequest, work: Path, out: Path,
         runner.run((still_stage(capture, work / STILL),))
         capture = work / STILL
     run = replace(source, capture=capture, train=train, still=is_still)
-    # The capture's folder .fourd/ is locked only if there are no masks from the user. With such masks, no mattes are
+    # The capture's folder .fourd/ is locked only if a camera lacks masks from the user. Otherwise, no mattes are
     # written, and the capture may be on a read-only disk.
-    with nullcontext() if has_masks(capture) else locked_folder(capture / DERIVED):
-        runner.run(stages_to_scene(run, request.mattes.settings_for(capture, context), out))
+    with nullcontext() if not lacks_masks(capture, train.views) else locked_folder(capture / DERIVED):
+        mattes = request.mattes.settings_for(capture, context)
+        runner.run(stages_to_scene(run, mattes, out, from_hull=request.mattes.keep_chosen))
 
 
 def _work_folder(out: Location, given: Path | None) -> Path:

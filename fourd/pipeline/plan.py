@@ -44,7 +44,7 @@ class SourceFacts:
         frames: number of selected frames of each camera, or None if the video headers do not contain the number of
             frames.
         megapixels: size of one image in megapixels.
-        has_mattes: whether the source has mattes for all cameras.
+        has_mattes: whether the source has masks of any camera.
         needs_import: whether the source must be imported as a capture.
     """
 
@@ -126,7 +126,8 @@ def _read_facts(source: Path, train: TrainConfig) -> SourceFacts:
     with suppress(UserError):
         count = None if count is None else len(parse_frame_range(train.frames, count))
     views = len(cameras) if train.views is None else len(train.views)
-    has_mattes = all(camera.masks is not None for camera in cameras) if needs_import else has_masks(source)
+    # Mattes of a few cameras, which are made from the masks of the others, take little time.
+    has_mattes = any(camera.masks is not None for camera in cameras) if needs_import else has_masks(source)
     return SourceFacts(views, count, size[0] * size[1] / 1e6, has_mattes, needs_import)
 
 

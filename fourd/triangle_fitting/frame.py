@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -15,10 +15,10 @@ from fourd.carving.bounds import Bounds, hull_bounds
 from fourd.carving.carve import carve_frame
 from fourd.carving.colour import colour_points
 from fourd.carving.hull import Silhouettes
-from fourd.errors import UserError, command_line
+from fourd.errors import UserError
 from fourd.mesh.texturing.texture import colour_mesh
 from fourd.mesh.views import MeshView, mesh_views
-from fourd.progress import Track, untracked
+from fourd.progress import Log, Track, untracked
 from fourd.training.cameras.selection import RunViews
 from fourd.training.evaluation.scores import Evaluation, ViewScores, score_view, summarize
 from fourd.triangle_fitting.connect import connect_triangles, visible_points
@@ -60,7 +60,9 @@ class FittedFrame:
     is_interrupted: bool
 
 
-def fit_frame(views: RunViews, settings: TriangleSettings, track: Track = untracked) -> FittedFrame:
+def fit_frame(
+    views: RunViews, settings: TriangleSettings, track: Track = untracked, log: Log = lambda line: None
+) -> FittedFrame:
     """Fit triangles to the first frame of a capture.
 
     Soft triangles are placed on the visual hull of the training views' mattes, and gradually become opaque while they
@@ -71,16 +73,15 @@ def fit_frame(views: RunViews, settings: TriangleSettings, track: Track = untrac
         views: the capture with mattes, and its training and held-out cameras.
         settings: number of triangles, budget and seed.
         track: callback that reports progress.
+        log: called with one line if cameras without mattes are not used.
 
     Raises:
         UserError: if the capture has no mattes, or the hull is empty.
     """
-    if not views.capture.has_masks:
-        path = views.capture.path
-        raise UserError(
-            f"{path}: expected masks/CAM/FRAME.png or mattes, got none; make mattes with: "
-            f"{command_line('fourd', 'matte', path)}"
-        )
+    views.capture.select(views.training).with_mattes(log)
+    masked = views.capture.masked
+    training, test = ([index for index in indices if index in masked] for indices in (views.training, views.test))
+    views = replace(views, training=training, test=test)
     fit = _FrameFit(views, settings)
     is_interrupted = False
     try:

@@ -9,7 +9,14 @@ from pathlib import Path
 
 from fourd.capture.camera_frames import CameraFrames, Footage, Mattes, PictureFrames
 from fourd.capture.decoding import decode_alpha, decode_matte, decode_picture, read_header
-from fourd.capture.layout import MATTES, find_pictures, missing_frame_error, no_pictures_error, sort_frames
+from fourd.capture.layout import (
+    MATTES,
+    camera_folders,
+    find_pictures,
+    missing_frame_error,
+    no_pictures_error,
+    sort_frames,
+)
 from fourd.capture.pictures.alpha import alpha_is_matte, has_alpha_channel
 from fourd.capture.pictures.listing import list_masks
 from fourd.capture.pictures.masks import MaskFolder
@@ -63,6 +70,11 @@ class OwnMattes:
     is_alpha: bool
     frames: Sequence[str]
 
+    @property
+    def exist(self) -> bool:
+        """Whether the user provided mattes of any camera."""
+        return self.is_alpha or bool(camera_folders(self.folder.folder))
+
 
 def open_masks(path: Path, frames: Sequence[str]) -> OwnMattes:
     """Find the user's mattes of the capture ``path``, which has the frames ``frames``."""
@@ -71,6 +83,8 @@ def open_masks(path: Path, frames: Sequence[str]) -> OwnMattes:
 
 def open_mattes(path: Path, name: str, images: CameraFrames, masks: OwnMattes, chosen: Sequence[str]) -> Mattes | None:
     """Return the user's mattes of the chosen frames, or the generated mattes, or None if there are neither.
+
+    If the user provided mattes of other cameras, the generated mattes of a camera are used only if they are complete.
 
     Raises:
         UserError: if there are mattes, but not of all frames ``chosen``.
@@ -82,15 +96,15 @@ def open_mattes(path: Path, name: str, images: CameraFrames, masks: OwnMattes, c
         if error is not None:
             raise error
         return Mattes(PictureFrames([own / files[frame] for frame in chosen], masks.folder.decode), is_generated=False)
-    if masks.is_alpha:
-        if not isinstance(images, PictureFrames) or not has_alpha_channel(images.paths[0]):
-            return None
+    if masks.is_alpha and isinstance(images, PictureFrames) and has_alpha_channel(images.paths[0]):
         return Mattes(PictureFrames(images.paths, decode_alpha), is_generated=False)
     generated = path / MATTES / name
     files = find_pictures(generated)
     if not files:
         return None
     if missing_frame_error(generated, files, chosen) is not None:
+        if masks.exist:
+            return None
         count = sum(frame in files for frame in chosen)
         raise UserError(
             f"{generated}: expected mattes of {len(chosen)} frames, got {count}; make the missing mattes with: "

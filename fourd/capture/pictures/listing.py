@@ -7,6 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from fourd.capture.layout import camera_folders, find_pictures
+from fourd.capture.pictures.alpha import alpha_is_matte, has_alpha_channel
 from fourd.capture.pictures.moments import match_frames, match_masks
 from fourd.errors import UserError
 
@@ -31,6 +32,20 @@ def list_images(folder: Path, names: Sequence[str]) -> dict[str, dict[str, str]]
                 found[name] = find_pictures(folder / name)
     matched = match_frames({name: files for name, files in found.items() if files})
     return {name: {frame: found[name][stem] for frame, stem in matched.get(name, {}).items()} for name in names}
+
+
+def masked_cameras(capture: Path) -> list[str]:
+    """Return the names of the cameras of which the user provided masks: files in masks/, or alpha channels.
+
+    Raises:
+        UserError: if an examined image is damaged.
+    """
+    if alpha_is_matte(capture):
+        folder = capture / "images"
+        pictures = {name: next(iter(find_pictures(folder / name).values()), None) for name in camera_folders(folder)}
+        return [name for name, file in pictures.items() if file is not None and has_alpha_channel(folder / name / file)]
+    masks = capture / "masks"
+    return [name for name in camera_folders(masks) if find_pictures(masks / name)]
 
 
 def list_masks(folder: Path, frames: Sequence[str]) -> dict[str, str]:

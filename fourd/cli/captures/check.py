@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -65,7 +66,7 @@ def _check(capture: Path, arguments: Arguments) -> None:
             report = replace(report, problems=agreement.mixups)
             found += find_late_cameras(capture, track)
             found += find_foreign_mattes(capture, track)
-            quality = _quality(capture) if report.has_masks else None
+            quality = _quality(capture, report.masked) if report.has_masks else None
             if quality is not None:
                 quality.require_hull(capture)
         except UserError as error:
@@ -99,8 +100,9 @@ def _check(capture: Path, arguments: Arguments) -> None:
     )
 
 
-def _quality(path: Path) -> MatteQuality | None:
-    with open_capture(path) as capture:
+def _quality(path: Path, masked: Sequence[str]) -> MatteQuality | None:
+    """Compare the masks of the user, or else the mattes of all cameras, with their visual hull."""
+    with open_capture(path, views=masked or None) as capture:
         return measure_mattes(capture, max_frames=MEASURED_FRAMES, track=Tracker(Terminal(stderr=True)).track)
 
 
@@ -121,6 +123,12 @@ def _facts(name: str, report: Report, agreement: Agreement | None, quality: Matt
     coverage = "" if report.coverage is None else f"; {report.coverage:.1%} of the pixels are foreground"
     kept = "" if quality is None else f"; the visual hull covers {quality.kept_share:.0%} of them"
     mattes = "yes" if report.has_masks else "none; fourd make or fourd matte makes them"
+    unmasked = [name for name in report.cameras if name not in report.masked]
+    if report.masked and unmasked:
+        mattes = (
+            f"masks of {len(report.masked)} of {len(report.cameras)} cameras; fourd make, train and matte make mattes "
+            f"of the others: {', '.join(unmasked)}"
+        )
     table.add_row("mattes", mattes + coverage + kept)
     if report.test_views is not None:
         table.add_row("held out", f"{', '.join(report.test_views) or 'no camera'} by default (test split)")

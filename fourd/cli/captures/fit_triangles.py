@@ -77,7 +77,7 @@ def run(arguments: Arguments) -> None:
     views = open_run_views(arguments.capture, selection)
     refuse_symlinks(arguments.capture, arguments.out.parent)
     console = Terminal(stderr=True)
-    fitted = fit_frame(views, settings, Tracker(console).track)
+    fitted = fit_frame(views, settings, Tracker(console).track, lambda line: console.print(line, soft_wrap=True))
     remove_unfinished_file(arguments.out)
     write_mesh(arguments.out, fitted.mesh, estimate_up(views.capture.cameras))
     count = len(fitted.mesh.triangles)

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from fourd.capture.layout import DERIVED, MATTES, refuse_symlinks
+from fourd.capture.split import read_test_views
 from fourd.cli.options import CapturePath, SelectionOptions, Workers, option, worker_count
 from fourd.cli.outputs import READS, require_distinct
 from fourd.errors import UserError
@@ -17,7 +18,7 @@ from fourd.matting.motion.paint import parse_paint
 from fourd.matting.output import SHEET
 from fourd.matting.plates import FOLDER as PLATES
 from fourd.matting.sequence import MatteSettings, record_choice
-from fourd.pipeline.capture_graph import MASKS, has_masks, stages_to_mattes
+from fourd.pipeline.capture_graph import MASKS, has_masks, lacks_masks, stages_to_mattes
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.mattes import MatteStageSettings
@@ -97,7 +98,8 @@ def run(arguments: Arguments) -> None:
     capture, selection = arguments.capture, arguments.selection
     settings = MatteStageSettings(selection.names, selection.frames, arguments.mattes.settings(arguments.seed))
     context = Context(Terminal(stderr=True), worker_count(arguments.workers))
-    masks = has_masks(capture)
+    masks, is_complete = has_masks(capture), not lacks_masks(capture, selection.names)
+    from_hull = not arguments.mattes.is_given
     if arguments.mattes.masks is not None:
         require_distinct(capture / MATTES, [arguments.mattes.masks])
     if masks and arguments.mattes.paint:
@@ -106,14 +108,17 @@ def run(arguments: Arguments) -> None:
         )
     refuse_symlinks(capture, capture / DERIVED)
     with locked_folder(capture / DERIVED):
-        Runner(context).run(stages_to_mattes(capture, settings, arguments.plates))
-        if not masks:
+        held_out = [name for name in read_test_views(capture) or () if selection.names is None]
+        Runner(context).run(
+            stages_to_mattes(capture, settings, arguments.plates, test_views=held_out, from_hull=from_hull)
+        )
+        if not masks or (not is_complete and not from_hull):
             record_choice(capture, settings.mattes)
-    lines = [
-        f"{capture / MASKS}: the capture has masks, so no mattes were made"
-        if masks
-        else f"{capture / MATTES}: mattes; {capture / SHEET} shows examples of the mattes"
-    ]
+    lines = [f"{capture / MATTES}: mattes; {capture / SHEET} shows examples of the mattes"]
+    if is_complete:
+        lines = [f"{capture / MASKS}: the capture has masks, so no mattes were made"]
+    elif masks:
+        lines = [f"{capture / MATTES}: mattes of the cameras without masks"]
     if arguments.plates:
         lines.append(f"{capture / PLATES}: clean plates, transparent at pixels where no frame shows the background")
     for line in lines:

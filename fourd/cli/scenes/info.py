@@ -326,16 +326,14 @@ def _capture(path: Path) -> Rows:
     rows: Rows = []
     if calibrated and (folders or videos):
         from fourd.capture import open_capture
-        from fourd.capture.split import read_test_views
+        from fourd.cli.scenes.capture_facts import split_and_masks
 
         with open_capture(path) as capture:
             rows.append(("cameras", f"{len(capture.names)}, calibrated: {_names(capture.names)}"))
             rate = f" at {format_rate(capture.fps)} per second" if capture.fps else f", {UNKNOWN_RATE}"
             rows.append(("frames", f"{capture.frame_count}{rate}; {_numbers(capture.frame_numbers)}"))
             rows.append(("image sizes", _sizes((camera.width, camera.height) for camera in capture.cameras)))
-            split = read_test_views(path)
-            rows += [] if split is None else [("test split", _names(split) or "no cameras")]
-            rows.append(("masks", "yes" if capture.has_masks else "none"))
+            rows += split_and_masks(path, capture)
     else:
         rows.append(("cameras", f"{len(folders)} in images/: {_names(folders)}" if folders else "none in images/"))
         rows.append(("calibration", "yes" if calibrated else "none: training needs intri.yml and extri.yml"))

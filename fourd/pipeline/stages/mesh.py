@@ -88,6 +88,11 @@ def run_mesh(files: MeshFiles, settings: MeshStageSettings, context: Context) ->
     """Make the mesh of every frame. Meshes that an earlier call made with the same settings are kept."""
     whole, training, test = _open_views(files, settings.selection)
     with whole, training:
+        training = training.with_mattes(context.log)
+        unmasked = [whole.names[index] for index in test if index not in whole.masked]
+        if unmasked:
+            context.log(f"{whole.path}: not scored, because these views have no mattes: {', '.join(unmasked)}")
+        test = [index for index in test if index in whole.masked]
         paths = mesh_capture(training, files.meshes, settings.mesh, context.track, force=settings.force)
         if not test or settings.mesh.format != "glb":
             return

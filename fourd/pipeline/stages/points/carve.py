@@ -8,7 +8,7 @@ from pathlib import Path
 from fourd.capture import Capture, open_capture
 from fourd.carving import carve_capture
 from fourd.carving.matte_quality import measure_mattes
-from fourd.errors import UserError, command_line
+from fourd.errors import UserError
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.plates import MATTE_PATTERNS
@@ -92,17 +92,14 @@ def carve_run_stage(
 
 def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context) -> None:
     """Carve every frame. Points that an earlier call carved with the same settings are kept."""
-    with _open_training_views(files, settings.selection) as capture:
+    with _open_training_views(files, settings.selection) as opened:
+        capture = opened
         if len(capture.cameras) < MIN_CAMERAS:
             raise UserError(
                 f"{capture.path}: expected at least {MIN_CAMERAS} cameras, got {len(capture.cameras)}; add recordings "
                 "of other cameras, or choose more --views"
             )
-        if not capture.has_masks:
-            raise UserError(
-                f"{capture.path}: expected masks/CAM/FRAME.png or mattes, got none; "
-                f"make mattes with: {command_line('fourd', 'matte', capture.path)}"
-            )
+        capture = capture.with_mattes(context.log)
         if not settings.accept_mattes:
             _require_hull(capture, settings, context)
         files.hull.parent.mkdir(parents=True, exist_ok=True)

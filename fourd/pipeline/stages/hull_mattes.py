@@ -1,0 +1,131 @@
+"""Hull mattes: if the user provided masks of some cameras, the mattes of the other cameras are silhouettes of the
+visual hull of these masks."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+
+from fourd.capture import open_capture
+from fourd.capture.layout import parse_frame_range, refuse_symlinks
+from fourd.capture.pictures.listing import masked_cameras
+from fourd.carving.coherence import hull_silhouettes
+from fourd.errors import UserError
+from fourd.matting.output import MatteOutput
+from fourd.matting.selection import Selection
+from fourd.matting.sequence import write_matte
+from fourd.parallel import run_jobs, split_into_blocks
+from fourd.pipeline.stage import Artefact, Context, Stage
+from fourd.pipeline.stages.check import INPUT_PATTERNS
+from fourd.pipeline.stages.mattes import MatteFiles
+
+VERSION = 1
+MIN_MASKED = 3
+"""Minimum number of cameras with masks. The hull of two silhouettes is too large for a matte."""
+
+
+@dataclass(frozen=True)
+class HullMatteSettings:
+    """Cameras and frames of hull mattes.
+
+    Attributes:
+        given: names of the cameras whose masks form the hull. Held-out cameras are not among them, because their images
+            must not influence the scene.
+        missing: names of the cameras without masks, for which mattes are made.
+        frames: range of frames, or None for all frames.
+    """
+
+    given: tuple[str, ...]
+    missing: tuple[str, ...]
+    frames: str | None
+
+
+def hull_matte_settings(
+    capture: Path, names: Sequence[str], test_views: Sequence[str], frames: str | None
+) -> HullMatteSettings:
+    """Return which of the cameras ``names`` have masks of the user, and which need mattes."""
+    masked = set(masked_cameras(capture))
+    given = tuple(name for name in names if name in masked and name not in test_views)
+    return HullMatteSettings(given, tuple(name for name in names if name not in masked), frames)
+
+
+def hull_mattes_stage(capture: Path, settings: HullMatteSettings) -> Stage[MatteFiles, HullMatteSettings]:
+    """Create the stage that makes the mattes of cameras without masks from the masks of the others."""
+    return Stage(
+        "mattes",
+        run_hull_mattes,
+        MatteFiles(capture),
+        settings,
+        inputs=(Artefact(capture, INPUT_PATTERNS),),
+        outputs=(capture / ".fourd" / "mattes",),
+    )
+
+
+def run_hull_mattes(files: MatteFiles, settings: HullMatteSettings, context: Context) -> None:
+    """Make the missing mattes. Mattes that an earlier call made from the same masks are kept."""
+    path, names = files.capture, ", ".join(settings.missing)
+    if not os.access(path, os.W_OK):
+        raise UserError(
+            f"{path}: expected a writable folder, in which the mattes of {names} are stored, got a read-only one; make "
+            "it writable, or leave these cameras out with --views"
+        )
+    with open_capture(path, views=list(settings.given)) as capture:
+        frame_names = capture.frame_names
+    key = _key(path, settings, frame_names)
+    output = MatteOutput(path, key, key)
+    refuse_symlinks(path, output.folder)
+    output.prepare()
+    chosen = parse_frame_range(settings.frames, len(frame_names))
+    missing = [chosen[index] for index in output.missing(settings.missing, [frame_names[frame] for frame in chosen])]
+    folder = output.start() if missing else output.folder
+    jobs = [_Job(path, settings, folder, tuple(block)) for block in split_into_blocks(missing, context.workers)]
+    for _ in context.track(run_jobs(_make_mattes, jobs, context.workers), len(missing), "mattes"):
+        pass
+    output.finish()
+    context.log(
+        f"{path}: no masks of {names}; their mattes are the silhouettes of the visual hull of the masks of "
+        f"{len(settings.given)} other cameras ({len(missing)} frames made)"
+    )
+
+
+@dataclass(frozen=True)
+class _Job:
+    """Job of a worker process: the capture, the settings, the output folder, and the indices of the frames."""
+
+    capture: Path
+    settings: HullMatteSettings
+    folder: Path
+    frames: tuple[int, ...]
+
+
+def _make_mattes(job: _Job) -> Iterator[int]:
+    """Write the mattes of some frames, and yield the index of each frame after its files are written."""
+    cv2.setNumThreads(1)
+    given = Selection(job.capture, job.settings.given)
+    others = Selection(job.capture, job.settings.missing)
+    with given.open() as masked, others.open(mattes=False) as unmasked:
+        for frame in job.frames:
+            masks = [masked.mask(camera, frame) for camera in range(len(masked.names))]
+            mattes = hull_silhouettes(masks, masked.cameras, unmasked.cameras)
+            for name, matte in zip(unmasked.names, mattes, strict=True):
+                target = job.folder / name / f"{unmasked.frame_names[frame]}.png"
+                # Existing mattes are kept, because the user may have edited them.
+                if not target.exists():
+                    write_matte(target, matte)
+            yield frame
+
+
+def _key(capture: Path, settings: HullMatteSettings, frames: Sequence[str]) -> str:
+    """Hash all inputs of the mattes except the range of frames."""
+    digest = hashlib.sha256(json.dumps([VERSION, settings.given, settings.missing, frames]).encode())
+    paths = [path for name in settings.given for path in sorted((capture / "masks" / name).glob("*"))]
+    for path in [*sorted(capture.glob("*.yml")), *paths]:
+        status = path.stat()
+        digest.update(f"{path.name} {status.st_size} {status.st_mtime_ns}\n".encode())
+    return digest.hexdigest()
