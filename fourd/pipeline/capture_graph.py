@@ -70,14 +70,18 @@ def stages_to_capture(source: Path, imported: Path, options: ImportOptions) -> t
 def stages_to_hull_mattes(
     capture: Path, views: Sequence[str] | None, frames: str | None, test_views: Sequence[str]
 ) -> tuple[AnyStage, ...]:
-    """Return the stage that makes the mattes of cameras without masks from the masks of the other cameras. There is
-    none if all or fewer than three of the training cameras have masks."""
+    """Return the stage that makes the mattes of cameras without masks from the masks of the other cameras.
+
+    There is none if all cameras have masks, or if fewer than three training cameras have masks. For held-out cameras,
+    the masks of two suffice, because their mattes only select the pixels that are scored.
+    """
     names = _partly_masked(capture, views) if has_masks(capture) else []
     if not names:
         return ()
     held_out = select_views(test_views, names, "--test-views") if test_views else []
     settings = hull_matte_settings(capture, names, held_out, frames)
-    return (hull_mattes_stage(capture, settings),) if len(settings.given) >= MIN_MASKED else ()
+    needed = 2 if set(settings.missing) <= set(held_out) else MIN_MASKED
+    return (hull_mattes_stage(capture, settings),) if len(settings.given) >= needed else ()
 
 
 def stages_to_mattes(

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from fourd.capture import Capture
 from fourd.capture.decoding import decode_rgb
 from fourd.cli.options import LpipsWeights, RunPath, option, split_names
 from fourd.cli.outputs import READS, WRITES_JSON
@@ -85,7 +86,7 @@ def run(arguments: Arguments) -> None:
                 layers = trained.run.config.train.layers
                 picture = trained.render(frame, camera, layers, exclude=index)
                 rgb = _display_colours(trained, index, fitted, picture)
-            matte = capture.mask(index, frame)
+            matte = _matte(capture, index, frame, whole)
             truth = _truth(capture.image(index, frame), None if whole else matte)
             image, box = score_view(rgb, truth, matte, lpips)
             seen = covisible_psnr(rgb, truth, matte, masks[index]) if index in masks else None
@@ -93,6 +94,8 @@ def run(arguments: Arguments) -> None:
     evaluation = summarize(pictures)
     backgrounds = {} if arguments.plates is None else _backgrounds(trained, indices, arguments.plates, fitted)
     _print(evaluation, trained, backgrounds)
+    for line in _matte_notes(capture, indices):
+        Terminal().print(line, soft_wrap=True)
     for index, view in fitted.items():
         note = f"rotated by {view.degrees:.3f} degrees, moved by {view.distance:.4f} world units"
         colours = ", colours fitted" if view.colours is not None else ""
@@ -160,6 +163,28 @@ def _display_colours(
         return fitted[index].recolour(picture.rgb, picture.alpha).clip(0, 1)
     rgb, alpha = torch.from_numpy(picture.rgb), torch.from_numpy(picture.alpha)
     return trained.rig.camera_colours(index, rgb, alpha).clamp(0, 1).numpy()
+
+
+def _matte(capture: Capture, index: int, frame: int, whole: bool) -> NDArray[np.uint8]:
+    """Return the matte (H, W) of an evaluated view. If the camera of a scene with background has no mattes, the matte is
+    empty, so that only the whole image is scored."""
+    if index in capture.masked or not whole:
+        return capture.mask(index, frame)
+    return np.zeros((capture.cameras[index].height, capture.cameras[index].width), np.uint8)
+
+
+def _matte_notes(capture: Capture, indices: list[int]) -> list[str]:
+    """Return one line each for evaluated cameras without mattes, and for those whose mattes come from other masks."""
+    lines, masked, generated = [], capture.masked, capture.generated
+    unmasked = [capture.names[index] for index in indices if index not in masked]
+    if unmasked:
+        lines.append(f"{', '.join(unmasked)}: no mattes, so only the whole image is scored")
+    made = [capture.names[index] for index in indices if index in generated]
+    if made and len(generated) < len(masked):
+        lines.append(
+            f"{', '.join(made)}: no masks, so the matte's box is that of mattes made from other cameras' masks"
+        )
+    return lines
 
 
 def _truth(picture: NDArray[np.uint8], matte: NDArray[np.uint8] | None) -> NDArray[np.float32]:
