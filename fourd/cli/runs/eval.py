@@ -166,8 +166,8 @@ def _display_colours(
 
 
 def _matte(capture: Capture, index: int, frame: int, whole: bool) -> NDArray[np.uint8]:
-    """Return the matte (H, W) of an evaluated view. If the camera of a scene with background has no mattes, the matte is
-    empty, so that only the whole image is scored."""
+    """Return the matte (H, W) of an evaluated view. In a scene with background, a camera without mattes has an
+    empty matte, so that only the whole image is scored."""
     if index in capture.masked or not whole:
         return capture.mask(index, frame)
     return np.zeros((capture.cameras[index].height, capture.cameras[index].width), np.uint8)
