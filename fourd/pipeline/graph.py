@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.matting.sequence import MatteSettings
+from fourd.matting.sequence import MatteSettings, chosen_method
 from fourd.pipeline.capture_graph import has_masks, lacks_masks, stages_to_hull_mattes, stages_to_mattes
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.segments import divide_stage, segment_stages
@@ -92,7 +92,10 @@ def stages_to_run(request: RunRequest) -> tuple[AnyStage, ...]:
     """Return the stages that train a run. The capture must have masks or mattes, at least of some cameras."""
     files = TrainFiles(request.capture, request.run, request.lpips_weights)
     train = request.train
-    made = stages_to_hull_mattes(request.capture, train.views, train.frames, train.test_views or ())
+    made: tuple[AnyStage, ...] = ()
+    # Mattes whose method the user chose with fourd matte are kept.
+    if has_masks(request.capture) and chosen_method(request.capture) is None:
+        made = stages_to_hull_mattes(request.capture, train.views, train.frames, train.test_views or ())
     return (*made, *stages_to_first_points(request), *training_stages(files, train))
 
 

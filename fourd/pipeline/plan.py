@@ -45,6 +45,7 @@ class SourceFacts:
             frames.
         megapixels: size of one image in megapixels.
         has_mattes: whether the source has masks of any camera.
+        is_partly_masked: whether the source has masks of some cameras only.
         needs_import: whether the source must be imported as a capture.
     """
 
@@ -53,6 +54,7 @@ class SourceFacts:
     megapixels: float
     has_mattes: bool
     needs_import: bool
+    is_partly_masked: bool = False
 
 
 def describe_plan(source: Path, train: TrainConfig, workers: int, has_points: bool = False) -> str:
@@ -94,6 +96,8 @@ def _stage_durations(facts: SourceFacts, train: TrainConfig, workers: int, has_p
         stages += [("still", 0.0), ("points", 0.0)]
     elif not facts.has_mattes:
         stages += [("mattes", MATTE_S_PER_MP * pictures_mp / workers), ("plates", 0.0)]
+    elif facts.is_partly_masked:
+        stages.append(("mattes", 0.0))
     if train.refine.cameras:
         stages.append(("adjust", 0.0))
     carving = 0.0 if has_points else CARVE_S_PER_FRAME * frames / workers
@@ -126,9 +130,9 @@ def _read_facts(source: Path, train: TrainConfig) -> SourceFacts:
     with suppress(UserError):
         count = None if count is None else len(parse_frame_range(train.frames, count))
     views = len(cameras) if train.views is None else len(train.views)
-    # Mattes of a few cameras, which are made from the masks of the others, take little time.
     has_mattes = any(camera.masks is not None for camera in cameras) if needs_import else has_masks(source)
-    return SourceFacts(views, count, size[0] * size[1] / 1e6, has_mattes, needs_import)
+    is_partly_masked = has_mattes and any(camera.masks is None for camera in cameras)
+    return SourceFacts(views, count, size[0] * size[1] / 1e6, has_mattes, needs_import, is_partly_masked)
 
 
 def _measure(frames: Frames) -> tuple[int | None, tuple[int, int]]:

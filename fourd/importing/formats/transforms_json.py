@@ -99,7 +99,7 @@ def read(source: Path) -> Imported:
     for name, group in (_by_camera(path, entries) if timed else _single(path, entries)).items():
         names = tuple(name_at[entry.time or 0.0] for entry in group)
         masks = tuple(entry.mask for entry in group if entry.mask is not None)
-        mattes = PictureFiles(masks, names) if masked == len(entries) else None
+        mattes = PictureFiles(masks, names) if len(masks) == len(group) else None
         frames = PictureFiles(tuple(entry.picture for entry in group), names)
         cameras.append(ImportedCamera(name, group[0].camera, frames, mattes))
     notes = [
@@ -108,8 +108,9 @@ def read(source: Path) -> Imported:
     ]
     ignored = [key for key in IGNORED if key in data]
     notes += [f"ignored: {', '.join(ignored)}"] if ignored else []
-    if 0 < masked < len(entries):
-        notes.append(f"mattes are not imported, because only {masked} of {len(entries)} entries have a matte")
+    unmasked = [camera.name for camera in cameras if camera.masks is None]
+    if unmasked and masked:
+        notes.append(f"mattes of some cameras are not imported, because entries have none: {', '.join(unmasked)}")
     return Imported(tuple(cameras), tuple(notes))
 
 

@@ -23,6 +23,7 @@ from fourd.matting.sequence import write_matte
 from fourd.parallel import run_jobs, split_into_blocks
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
+from fourd.pipeline.stages.edited_mattes import kept_if_edited
 from fourd.pipeline.stages.mattes import MatteFiles
 
 VERSION = 1
@@ -85,9 +86,10 @@ def run_hull_mattes(files: MatteFiles, settings: HullMatteSettings, context: Con
     missing = [chosen[index] for index in output.missing(settings.missing, [frame_names[frame] for frame in chosen])]
     folder = output.start() if missing else output.folder
     jobs = [_Job(path, settings, folder, tuple(block)) for block in split_into_blocks(missing, context.workers)]
-    for _ in context.track(run_jobs(_make_mattes, jobs, context.workers), len(missing), "mattes"):
-        pass
-    output.finish()
+    with kept_if_edited(path, context.log):
+        for _ in context.track(run_jobs(_make_mattes, jobs, context.workers), len(missing), "mattes"):
+            pass
+        output.finish()
     context.log(
         f"{path}: no masks of {names}; their mattes are the silhouettes of the visual hull of the masks of "
         f"{len(settings.given)} other cameras ({len(missing)} frames made)"
