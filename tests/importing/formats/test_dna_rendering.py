@@ -107,6 +107,10 @@ def _replace(name: str, value: object) -> object:
     [
         (_replace("Camera_Parameter", None), r"_annots.smc: expected the group Camera_Parameter, got none; download"),
         (_replace("Camera_Parameter/02/RT", None), r"_annots.smc: expected Camera_Parameter/02/RT, got none"),
+        (
+            _replace("Camera_Parameter/02/RT", np.diag([1.0, 1.0, -1.0, 1.0])),
+            r"Camera_Parameter/02: rotation: .* got a reflection",
+        ),
         (_replace("Camera_Parameter/02/RT", 9 * np.eye(4)), r"Camera_Parameter/02: rotation: expected an orthonormal"),
         (_replace("Camera_Parameter/02/K", np.full((3, 3), np.nan)), r"Camera_Parameter/02/K: expected finite numbers"),
         (_replace("Camera_Parameter/02/K", np.eye(4)), r"Camera_Parameter/02/K: expected 3 x 3 numbers, got 4 x 4"),

@@ -64,6 +64,14 @@ def test_cameras_project_as_the_originals(source: Path, rng: np.random.Generator
         assert file_names(camera.frames) == [f"{camera.name}.mp4"]
 
 
+def test_reflections_are_named(source: Path) -> None:
+    """Catches mirrored poses that are used."""
+    mirrored = rows()
+    mirrored[1, 0:15:5] *= -1
+    np.save(source / "poses_bounds.npy", mirrored)
+    assert_refused(read, source, r"poses_bounds.npy: row 1: rotation: .* got a reflection \(determinant -1\)")
+
+
 def _save(array: object) -> object:
     return lambda path: np.save(path, np.asarray(array))
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import cv2
@@ -125,3 +126,11 @@ def test_real_calibration_agrees_with_pose2sim() -> None:
     assert np.allclose(camera.translation, [-0.79348039, 0.32283594, 4.35351487], atol=1e-7)
     assert np.allclose(np.diag(camera.intrinsics), [1681.598388671875, 1681.509887703125, 1], atol=1e-6)
     assert np.allclose(camera.intrinsics[:2, 2] - 0.5, [513.20837403125, 955.005126953125], atol=1e-6)
+
+
+def test_reflections_are_named(source: Path) -> None:
+    """Catches mirrored poses that are used."""
+    path = next(source.glob("*.txt"))
+    text = re.sub(r'(r1[123]=")(-?)', lambda found: found[1] + ("" if found[2] else "-"), path.read_text())
+    path.write_text(text)
+    assert_refused(read, source, r"camera '11': rotation: .* got a reflection \(determinant -1\)")

@@ -233,3 +233,13 @@ def test_names_in_other_scripts(tmp_path: Path) -> None:
     left, right = uneven_cameras(2)
     write(tmp_path, [make_entry(left, "images/左.jpg"), make_entry(right, "images/右.jpg")])
     assert [camera.name for camera in read(tmp_path).cameras] == ["左", "右"]
+
+
+def test_reflections_are_named(static: Path) -> None:
+    """Catches mirrored poses that are used."""
+    content = json.loads((static / "transforms.json").read_text())
+    matrix = np.array(content["frames"][1]["transform_matrix"])
+    matrix[:, 0] *= -1
+    content["frames"][1]["transform_matrix"] = matrix.tolist()
+    (static / "transforms.json").write_text(json.dumps(content))
+    assert_refused(read, static, r"transforms.json: entry 1: rotation: .* got a reflection \(determinant -1\)")
