@@ -153,18 +153,13 @@ class _Check:
             self.fps = self._try(read_rate, self.path)
             frames = sort_frames(set().union(*(found for found in images.values() if found)))
             self.warnings += describe_gaps(images_folder, frames)
-        test_views = self._try(read_test_views, self.path)
-        if test_views is not None:
-            self._try(require_known, self.path, test_views, names)
         self.is_alpha = bool(self._try(alpha_is_matte, self.path))
-        masked = [] if self.is_alpha else names
-        masks = {name: self._try(list_masks, masks_folder / name, frames) for name in masked}
+        masks = {name: self._try(list_masks, masks_folder / name, frames) for name in names if not self.is_alpha}
         has_masks = self.is_alpha or any(masks.values())
         for name, found in images.items():
             self._check_folder(images_folder / name, found, frames)
         for name, found in masks.items():
-            # A camera needs no masks. The mattes of cameras without masks are made from the masks of the others.
-            self._check_folder(masks_folder / name, found or None, frames)
+            self._check_folder(masks_folder / name, found or None, frames)  # A camera needs no masks.
         files = [images_folder / name / file for name, found in images.items() for file in (found or {}).values()]
         files += [masks_folder / name / file for name, found in masks.items() for file in (found or {}).values()]
         sized = [
@@ -183,6 +178,8 @@ class _Check:
                 f"{masks_folder}: expected mattes with the object in white, got only black ones; export the mattes "
                 "again, or delete them and run fourd matte"
             )
+        test_views = self._test_views(names)
+        masked = tuple(name for name in self._try(masked_cameras, self.path) or () if name in names)
         return Report(
             tuple(self.problems),
             tuple(self.warnings),
@@ -198,7 +195,7 @@ class _Check:
             skipped,
             tuple(notes),
             test_views,
-            tuple(name for name in self._try(masked_cameras, self.path) or () if name in names),
+            masked,
         )
 
     def _try(self, function: Callable[..., Value], *arguments: object) -> Value | None:
@@ -209,6 +206,13 @@ class _Check:
             if str(error) not in self.problems:
                 self.problems.append(str(error))
             return None
+
+    def _test_views(self, names: Sequence[str]) -> tuple[str, ...] | None:
+        """Return the test split of the capture, or None if it has none."""
+        test_views = self._try(read_test_views, self.path)
+        if test_views is not None:
+            self._try(require_known, self.path, test_views, names)
+        return test_views
 
     def _masks_folder(self) -> Path:
         """Return the folder of the user's mattes, or the folder of the generated mattes if the user has none."""
