@@ -15,6 +15,7 @@ from fourd.carving.coherence import frame_coherence
 from fourd.carving.mask_source import MaskSource, frame_masks
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
+from fourd.limits import read_json
 from fourd.progress import Track, untracked
 
 POOR = 0.7
@@ -23,6 +24,8 @@ MIN_KEPT = 1 / 3
 """An error is raised if the hull of all views covers less than this fraction of the mattes' area."""
 MAX_FRAMES = 48
 MAX_LINES = 8
+MAX_LINE = 1000
+"""Maximum number of characters of a line that is read from a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,13 +89,40 @@ class MatteQuality:
         )
 
     def save(self, path: Path) -> None:
-        """Write the fractions to a JSON file, with null for empty mattes."""
+        """Write the fractions to a JSON file, with null for empty mattes. See :func:`read_hull_share`."""
         tables = {
             name: [[None if np.isnan(value) else round(float(value), 4) for value in row] for row in table]
             for name, table in (("explained", self.explained), ("kept", self.kept), ("overlap", self.overlap))
         }
-        text = json.dumps({"version": 1, "cameras": self.names, "frames": self.frames, **tables})
+        share, poor = round(self.kept_share, 4), self.warnings()
+        content = {"version": 1, "cameras": self.names, "frames": self.frames, "kept_share": share, "poor": poor}
+        text = json.dumps({**content, **tables})
         write_text_atomically(path, text + "\n")
+
+
+@dataclass(frozen=True)
+class HullShare:
+    """How much of a run's mattes the visual hull covers.
+
+    Attributes:
+        kept_share: fraction of the mattes' area that the hull of all views covers.
+        poor: one line of text for each run of frames with poor mattes of one view, the worst first.
+    """
+
+    kept_share: float
+    poor: tuple[str, ...]
+
+
+def read_hull_share(path: Path) -> HullShare | None:
+    """Read the file that :meth:`MatteQuality.save` wrote. Returns None if it is missing or damaged."""
+    try:
+        content = read_json(path)
+    except (OSError, ValueError, UserError):
+        return None
+    share, poor = (content.get(name) if isinstance(content, dict) else None for name in ("kept_share", "poor"))
+    if type(share) not in (int, float) or not 0 <= share <= 1 or not isinstance(poor, list):
+        return None
+    return HullShare(float(share), tuple(line for line in poor if isinstance(line, str) and len(line) <= MAX_LINE))
 
 
 def measure_mattes(

@@ -9,12 +9,16 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
+from rich.console import Console
+from rich.text import Text
 
 from fourd.cli.options import FRAMES_HELP, VIEWS_HELP, LpipsWeights, describe, option, split_names
 from fourd.cli.outputs import READS
 from fourd.configs import assigned_keys, load_overlay, set_values
 from fourd.errors import UserError
 from fourd.ops.gpu import DeviceName
+from fourd.pipeline.stages.summary import RunSummary
+from fourd.progress import Terminal
 from fourd.storage import local_path
 from fourd.training.config import TrainConfig
 
@@ -57,13 +61,14 @@ CONFIG_KEYS = {
 overrides the value of the key."""
 
 SWITCHES = {
-    "refine.poses": "refine_cameras",
-    "refine.focal": "refine_cameras",
-    "refine.colours": "refine_colours",
-    "segments.warm_start": "warm_start",
+    "refine.poses": ("refine_cameras", True),
+    "refine.focal": ("refine_cameras", True),
+    "refine.colours": ("refine_colours", True),
+    "segments.warm_start": ("warm_start", True),
+    "held_out.on": ("no_held_out", False),
 }
-"""Maps dotted keys of the training config to fields of :class:`TrainingOptions`. If the flag of the field is given, the
-value of the key becomes true."""
+"""Maps dotted keys of the training config to fields of :class:`TrainingOptions`, and to the value of the key if the
+flag of the field is given."""
 
 
 def _config_option(name: str, metavar: str, text: str | None = None) -> Any:
@@ -89,6 +94,9 @@ class TrainingOptions:
     ] = ()
     """Set any config key, for example --set rates.planes=1e-3 --set model.planes.levels=3."""
     test_views: Annotated[str | None, option("NAME,NAME|none", TEST_VIEWS_DEFAULT, TEST_VIEWS_HELP)] = None
+    no_held_out: bool = False
+    """Without test views, train on all cameras from the start. By default, one camera is held out from the first part
+    of training, to measure the quality of new views."""
     views: Annotated[str | None, _config_option("views", "NAME,NAME", VIEWS_HELP)] = None
     frames: Annotated[str | None, _config_option("frames", "A:B[:S]", FRAMES_HELP)] = None
     scale: Annotated[float | None, _config_option("scale", "FLOAT")] = None
@@ -146,12 +154,20 @@ class TrainingOptions:
             if key in assigned:
                 raise UserError(f"{_flag(name)}, --set {key}: expected one of them, got both; remove one")
             config = _replace_key(config, key, _config_values(name, key, value), _flag(name))
-        for key, name in SWITCHES.items():
+        for key, (name, value) in SWITCHES.items():
             if getattr(self, name):
-                config = _replace_key(config, key, {key.rpartition(".")[2]: True}, _flag(name))
+                config = _replace_key(config, key, {key.rpartition(".")[2]: value}, _flag(name))
         if self.warm_start and config.segments.frames is None:
             raise UserError("--warm-start: expected also --segment, got only --warm-start; add --segment FRAMES")
         return config
+
+
+def print_summary(summary: RunSummary, console: Console) -> None:
+    """Print the quality of a run on the console, and the warnings on stderr."""
+    for line in summary.lines:
+        console.print(line, soft_wrap=True, highlight=False)
+    for line in summary.warnings:
+        Terminal(stderr=True).print(Text("warning: ", "yellow").append(line, "default"), soft_wrap=True)
 
 
 def _flag(name: str) -> str:

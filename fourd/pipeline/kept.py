@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from fourd.configs import load_overlay, save_config
+from fourd.configs import save_config
 from fourd.errors import UserError
 from fourd.files import UNFINISHED, resolved
 from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, PREPARATION, SEGMENTS, checkpoint_files, segment_folders
@@ -137,17 +137,17 @@ def _configs(run: Path) -> list[Path]:
 def _capture(config: Path) -> Path | None:
     """Return the capture that a config.yaml names, or None if the file is damaged."""
     # Imported here, because the module imports torch, which stages before training do not need.
-    from fourd.training.run import RunConfig
+    from fourd.training.run import load_run_config
 
     with suppress(UserError):
-        return load_overlay(RunConfig(), config).capture
+        return load_run_config(config).capture
     return None
 
 
 def _set_capture(config: Path, capture: Path) -> None:
-    from fourd.training.run import RunConfig
+    from fourd.training.run import load_run_config
 
-    content = load_overlay(RunConfig(), config)
+    content = load_run_config(config)
     if content.capture != resolved(capture):
         save_config(replace(content, capture=resolved(capture)), config)
 

@@ -24,6 +24,7 @@ from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.check import check_stage
 from fourd.pipeline.stages.repair import repair_stage, repaired_capture
 from fourd.pipeline.stages.still import still_stage
+from fourd.pipeline.stages.summary import RunSummary, summarize_run
 from fourd.pipeline.stages.train import start_run
 from fourd.pipeline.still_scenes import stands_still, still_config
 from fourd.pipeline.stored.cache import cache_folder
@@ -97,7 +98,7 @@ def make_scene(
     cluster: Cluster | None = None,
     work: Location | None = None,
     force: bool = False,
-) -> None:
+) -> RunSummary:
     """Run every stage from ``source`` to the scene file ``out``.
 
     Intermediate results are kept in the folder ``work``. It contains the run (``run/``) and the record of the stages
@@ -123,6 +124,9 @@ def make_scene(
             local copy and publishes the results of each stage; see :mod:`fourd.pipeline.stored`.
         force: whether to remove trained runs that other settings replace.
 
+    Returns:
+        the measured quality of the run, and warnings about it.
+
     Raises:
         UserError: if the input is invalid, if a store refuses a request, or if the folder for intermediate results has
             other files or belongs to another scene.
@@ -133,14 +137,14 @@ def make_scene(
     request = SceneRequest(source, out, run, choice, imports or ImportOptions(), context)
     execute = run_here if cluster is None else cluster.execute
     if isinstance(work, StorageUrl):
-        _make_stored(request, work, execute, is_parallel=cluster is not None, force=force)
-        return
+        return _make_stored(request, work, execute, is_parallel=cluster is not None, force=force)
     folder = _work_folder(out, work)
     if isinstance(out, StorageUrl):
         check_writable(out)
     with locked_folder(folder):
         runner = Runner(context, folder / RECORD, execute, is_parallel=cluster is not None, force=force)
         _make_in_folder(request, folder, runner)
+        return summarize_run(folder / RUN)
 
 
 def _make_in_folder(request: SceneRequest, folder: Path, runner: Runner) -> None:
@@ -155,7 +159,9 @@ def _make_in_folder(request: SceneRequest, folder: Path, runner: Runner) -> None
         upload_changed(scene, out, folder / UPLOADED, request.context.track)
 
 
-def _make_stored(request: SceneRequest, url: StorageUrl, execute: Execute, *, is_parallel: bool, force: bool) -> None:
+def _make_stored(
+    request: SceneRequest, url: StorageUrl, execute: Execute, *, is_parallel: bool, force: bool
+) -> RunSummary:
     """Run the stages of :func:`make_scene`, and store the results at ``url``. The stages work in a local copy of
     ``url``, whose path can differ between machines. Paths of inputs must be valid on every machine, so relative paths
     of the source, the user's points and the LPIPS weights are made absolute."""
@@ -186,6 +192,7 @@ def _make_stored(request: SceneRequest, url: StorageUrl, execute: Execute, *, is
         else:
             remove_unfinished_file(out)
             _copy_changed(scene, out)
+        return summarize_run(root / RUN)
 
 
 def _absolute(path: Path | None) -> Path | None:

@@ -233,6 +233,22 @@ class SegmentConfig:
 
 
 @dataclass(frozen=True)
+class HeldOutConfig:
+    """A camera that training leaves out at first, to measure how well the scene looks from new viewpoints. Runs with
+    test views use these instead."""
+
+    on: bool = True
+    """Leave one camera out of the first part of training, if the run has no test views and at least 4 training cameras.
+    The camera with the nearest neighbours on all sides is chosen."""
+    until: float = 0.6
+    """Fraction of the training budget after which training also uses the camera that was left out. With 4 or 5 training
+    cameras, half of this fraction is used."""
+
+    def __post_init__(self) -> None:
+        require(0 < self.until <= 1, f"until: expected more than 0 and at most 1, got {self.until}")
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """All training settings of a run, saved in the run's config.yaml."""
 
@@ -250,6 +266,8 @@ class TrainConfig:
     """Settings of the corrections of the calibration."""
     segments: SegmentConfig = field(default_factory=SegmentConfig)
     """Settings of the segments of a long capture."""
+    held_out: HeldOutConfig = field(default_factory=HeldOutConfig)
+    """Settings of the camera that training leaves out at first."""
     points: int = 40_000
     """Maximum number of points in each frame."""
     trim_hull: bool = True
@@ -316,7 +334,8 @@ class TrainConfig:
     checkpoint_steps: int | None = None
     """Number of steps between checkpoints. If null, checkpoint_seconds is used."""
     validation_seconds: float = 60.0
-    """Seconds between validations. Validations use held-out views, or training views if no view is held out."""
+    """Seconds between validations. Validations use the held-out views, or the camera that is left out at first (see
+    `held_out.on`), or training views if no view is held out."""
     memory_mb: int = 96
     """Size of the cache of decoded images in MiB. The cache of points has half this size. Images and points that do not
     fit are read again when they are needed."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -35,6 +35,7 @@ from fourd.training.checkpoints import (
 )
 from fourd.training.config import TrainConfig
 from fourd.training.distributed.process_group import ALONE, ProcessGroup
+from fourd.training.evaluation.held_out_views import HeldOutViews
 from fourd.training.evaluation.render import ModelRenderer
 from fourd.training.evaluation.scores import score_view
 from fourd.training.live.session import CONTROL_SECONDS, LiveSession, NoSession, StepCount
@@ -102,18 +103,19 @@ class Trainer:
         self.scene = build_scene(budget, model, run.view_store(device), background)
         self.refinement = run.new_refinement()
         self.stepper = Stepper(self.scene, budget, lpips if lpips is None else lpips.to(device), self.refinement, group)
-        cameras, frames = run.capture.cameras, run.capture.frame_count
-        self.sampler = StepSampler(budget, cameras, run.training, frames, run.focus, group)
         self.done = 0
         self.seconds = 0.0
         self.psnr = 0.0
         if found is not None:
             self._restore(found)
+        self.held_out = HeldOutViews(run, self.done, is_warm=found is not None and self.done == 0)
+        cameras, frames = run.capture.cameras, run.capture.frame_count
+        self.sampler = StepSampler(budget, cameras, self.held_out.training, frames, run.focus, group)
         group.broadcast_parameters(self.stepper.dense_parameters)
         if group.is_first:
             drop_stale_points(run.checkpoints)
         self.frames = run.frame_store(saved, device)
-        self.renderer = ModelRenderer(self.scene, run.training, run.focus, run.config.train.pixel_filter)
+        self.renderer = ModelRenderer(self.scene, self.held_out.training, run.focus, run.config.train.pixel_filter)
         self._saved_step = self.done if saved is not None else -1
 
     def train(self) -> TrainSummary:
@@ -126,6 +128,8 @@ class Trainer:
         retain_freed_memory()
         log = MetricsLog(self.run.folder, resume_step=self.done) if self.group.is_first else NoLog()
         try:
+            if self.group.is_first:
+                self.held_out.save()
             with self._progress() as progress, self._session() as session:
                 task = progress.add_task("train", total=1.0, note="")
                 show = partial(progress.update, task)
@@ -133,6 +137,8 @@ class Trainer:
                     self._loop(log, lambda note: show(completed=self._spent(), note=note), interrupt, session)
                 log.close()
                 self._checkpoint()
+                if self.group.is_first and self.held_out.is_test_due(self.done):
+                    self._measure_held_out()
         finally:
             log.close()
         return TrainSummary(self.done, self.seconds, self.psnr)
@@ -153,6 +159,9 @@ class Trainer:
             trimmer.after_step()
             self.seconds += self.group.longest(time.monotonic() - started)
             show(f"step {self.done}  {self.psnr:.2f} dB")
+            if self.held_out.is_release_due(self._spent()):
+                trimmer.trim()
+                self._release_camera()
             if self._is_checkpoint_due(self.seconds - last_save):
                 trimmer.trim()
                 self._checkpoint()
@@ -167,6 +176,23 @@ class Trainer:
             if self.group.any(interrupt.is_pending or session.wanted is not None):
                 self._checkpoint()
                 self._answer(session, interrupt, show)
+
+    def _release_camera(self) -> None:
+        """Measure the held-out score of the camera that was left out, and train on it from now on. The score is written
+        before the next checkpoint, so a run that resumes from this checkpoint finds it."""
+        if self.group.is_first:
+            self._measure_held_out()
+        self.held_out.release()
+        self.sampler.use(self.held_out.training)
+        self.renderer.training = self.held_out.training
+
+    def _measure_held_out(self) -> None:
+        frames = self.group.own_frames(self.run.capture.frame_count)
+        score = self.held_out.measure(self.renderer, self.frames.get, frames, self.seconds)
+        self.held_out.score = replace(score, step=self.done)
+        self.held_out.save()
+        # The number of measured images depends on the time that they take. Training must not depend on it.
+        self.scene.clear_caches()
 
     def _answer(
         self, session: LiveSession | NoSession, interrupt: DeferredInterrupt, show: Callable[[str], None]
@@ -223,20 +249,21 @@ class Trainer:
         """Log the mean PSNR of held-out views at the middle frame, measured inside the bounding box of each matte. If
         rank 0 does not own the middle frame, the nearest earlier frame of rank 0 is used.
 
-        Training views are used if no view is held out.
+        Training views are used if no view is held out; see :attr:`HeldOutViews.validation`.
         """
+        views, name = self.held_out.validation
         frame = self.group.first_ranks_frame(self.run.capture.frame_count // 2)
         points = self.frames.get(frame)
         values = []
         pair = np.zeros((1, 1, 3), np.uint8)
-        for index in (self.run.test or self.run.training)[:MAX_VALIDATION_VIEWS]:
+        for index in views[:MAX_VALIDATION_VIEWS]:
             view = self.scene.views.view(index, frame)
             rendered = self.renderer.render(points, frame, view.camera, self.config.layers, exclude=index)
             truth = self.scene.reference_picture(view)
             image, box = score_view(rendered.rgb, truth, view.matte, None)
             values.append((box or image).psnr)
             pair = (np.concatenate([truth, rendered.rgb], axis=1) * 255 + 0.5).astype(np.uint8)
-        log.scalars(self.done, {"validation/psnr": float(np.mean(values)), "seconds": self.seconds})
+        log.scalars(self.done, {name: float(np.mean(values)), "seconds": self.seconds})
         log.image(self.done, "validation", pair)
         path = self.run.folder / VALIDATION / f"{self.done:07d}.png"
         write_picture(path, np.asarray(cv2.cvtColor(pair, cv2.COLOR_RGB2BGR), np.uint8))
@@ -310,7 +337,7 @@ class Trainer:
     def _session(self) -> LiveSession | NoSession:
         if not self.group.is_first:
             return NoSession()
-        return LiveSession(self.run.folder, self.config.max_steps, bool(self.run.test), self.console)
+        return LiveSession(self.run.folder, self.config.max_steps, self.held_out.exist, self.console)
 
     def _count(self) -> StepCount:
         return StepCount(self.done, self.seconds, self._spent())

@@ -34,7 +34,7 @@ from fourd.training.cameras.refinement import Refinement
 from fourd.training.cameras.rig import Rig
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.checkpoints import latest_checkpoint, load_checkpoint, restore
-from fourd.training.config import TrainConfig
+from fourd.training.config import HeldOutConfig, TrainConfig
 from fourd.training.evaluation.render import ModelRenderer, RenderedView
 from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.frame_store import FrameStore, load_points
@@ -233,6 +233,12 @@ class TrainedRun:
         self.run.capture.close()
 
 
+def load_run_config(path: Path) -> RunConfig:
+    """Read a run's config.yaml. A run of an older version, whose file does not have the key ``held_out``, was trained
+    on all its cameras from the start, so it holds out none."""
+    return load_overlay(RunConfig(train=TrainConfig(held_out=HeldOutConfig(on=False))), path)
+
+
 def open_run(folder: Path) -> Run:
     """Open a run folder and its capture.
 
@@ -241,7 +247,7 @@ def open_run(folder: Path) -> Run:
     path = folder / CONFIG_NAME
     if not path.is_file():
         raise UserError(f"{folder}: expected a run (a folder with {CONFIG_NAME}), got none; run fourd train")
-    config = load_overlay(RunConfig(), path)
+    config = load_run_config(path)
     adjusted = folder if config.train.refine.cameras else None
     views = open_run_views(config.capture, DataSelection.of(config.train), adjusted)
     scene = config.scene

@@ -11,7 +11,10 @@ from pathlib import Path
 
 CONFIG_NAME = "config.yaml"
 HULL = "hull"
-"""Folder with the file bounds.json and, for each frame, a file FRAME.ply with the frame's initial points."""
+"""Folder with the files bounds.json and quality.json and, for each frame, a file FRAME.ply with the frame's initial
+points."""
+HULL_QUALITY = "quality.json"
+"""File in the folder ``hull/``: how much of the mattes the visual hull covers, measured in a few frames."""
 BACKGROUND = "background"
 """Folder with the initial background points of a full scene and the clean plates that the run computed."""
 POINTS = "points.ply"

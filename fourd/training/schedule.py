@@ -41,7 +41,8 @@ class StepSample:
 
 class StepSampler:
     """Determines the sample of each step from only the seed and the step's number. Because the sampler stores no state
-    between steps, a resumed run has the same samples as an uninterrupted run.
+    between steps, a resumed run has the same samples as an uninterrupted run. The only exception is the choice of the
+    cameras, see :meth:`use`.
     """
 
     def __init__(
@@ -54,14 +55,19 @@ class StepSampler:
         group: ProcessGroup = ALONE,
     ) -> None:
         self._config = config
-        self._training = training
         self._frames = group.own_frames(frames)
         self._group = group
         self._min_layers = config.least_layers if config.scene == "object" else config.background.least_layers
         self._cameras = cameras
         self._focus = focus
+        self.use(training)
+
+    def use(self, training: list[int]) -> None:
+        """Sample only the cameras ``training``, as targets and as sources."""
+        self._training = training
         self._pools = {
-            target: source_pool(cameras, target, training, config.neighbour_pool, focus) for target in training
+            target: source_pool(self._cameras, target, training, self._config.neighbour_pool, self._focus)
+            for target in training
         }
 
     def sample(self, step: int) -> StepSample:

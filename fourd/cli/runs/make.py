@@ -15,7 +15,7 @@ from fourd.cli.captures.matte import MatteOptions
 from fourd.cli.locations import PATH_OR_URL, OutLocation
 from fourd.cli.options import FramesPerSecond, Workers, option, worker_count
 from fourd.cli.outputs import READS, WRITES
-from fourd.cli.training_options import TrainingOptions
+from fourd.cli.training_options import TrainingOptions, print_summary
 from fourd.errors import UserError, command_line
 from fourd.files import resolved
 from fourd.importing.importer import ImportOptions
@@ -91,7 +91,7 @@ def run(arguments: Arguments) -> None:
     choose_device(options.device)  # A missing GPU is reported before any stage runs.
     given = None if arguments.calibration is None else str(resolved(arguments.calibration))
     with nullcontext() if arguments.ray is None else join_cluster(arguments.ray, arguments.ray_cores) as cluster:
-        make_scene(
+        summary = make_scene(
             arguments.capture,
             arguments.out,
             config,
@@ -106,5 +106,6 @@ def run(arguments: Arguments) -> None:
             work=arguments.work,
             force=arguments.force,
         )
+    print_summary(summary, console)
     command = command_line("fourd", "render", arguments.out, "--path", "orbit", "--out", "orbit.mp4")
     console.print(f"{arguments.out}: written; next: {command}", soft_wrap=True)

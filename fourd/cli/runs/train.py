@@ -13,7 +13,7 @@ from fourd import __version__
 from fourd.cli.locations import CaptureLocation
 from fourd.cli.options import Workers, worker_count
 from fourd.cli.outputs import WRITES
-from fourd.cli.training_options import TrainingOptions
+from fourd.cli.training_options import TrainingOptions, print_summary
 from fourd.configs import to_yaml
 from fourd.errors import UserError, command_line
 from fourd.ops.gpu import choose_device
@@ -22,6 +22,7 @@ from fourd.pipeline.graph import RunRequest, stages_to_resume, stages_to_run
 from fourd.pipeline.make import require_new_run
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Context
+from fourd.pipeline.stages.summary import summarize_run
 from fourd.pipeline.stages.train import TrainFiles, require_divisible
 from fourd.processes import locked_folder
 from fourd.progress import Terminal
@@ -97,6 +98,8 @@ def _run_stages(arguments: Arguments, group: ProcessGroup) -> None:
         )
         stages = stages_to_run(request)
     Runner(context).run(stages)
+    if group.is_first:
+        print_summary(summarize_run(arguments.out), console)
     console.print(f"{arguments.out}: trained; next: {command_line('fourd', 'eval', arguments.out)}", soft_wrap=True)
 
 

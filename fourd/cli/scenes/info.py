@@ -273,10 +273,18 @@ def _run(path: Path) -> Rows:
     if segments:
         trained = sum(1 for segment in segments if checkpoint_files(segment / CHECKPOINTS))
         rows[1] = ("segments", f"{len(segments)}, of which {trained} have a checkpoint")
+    rows += [("quality", line) for line in _quality(path)]
     rows += [("last measured", line) for line in _last_metrics(path / "metrics.jsonl")]
     rows.append(("first points", f"{sum(1 for _ in path.glob('hull/*.ply'))} frames"))
     rows.append(("size", _bytes(sum(file.stat().st_size for file in path.rglob("*") if file.is_file()))))
     return rows
+
+
+def _quality(path: Path) -> Iterable[str]:
+    from fourd.pipeline.stages.summary import summarize_run
+
+    summary = summarize_run(path)
+    return [*summary.lines, *(f"warning: {line}" for line in summary.warnings)] or ["no held-out score yet"]
 
 
 def _is_number(value: object) -> bool:

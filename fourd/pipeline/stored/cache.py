@@ -14,7 +14,7 @@ from pathlib import Path
 
 import platformdirs
 
-from fourd.configs import load_overlay, save_config
+from fourd.configs import save_config
 from fourd.errors import UserError
 from fourd.files import UNFINISHED, resolved, write_text_atomically
 from fourd.limits import read_json
@@ -25,7 +25,7 @@ from fourd.processes import locked_file
 from fourd.progress import Track, untracked
 from fourd.storage import StorageUrl, is_file_name
 from fourd.storage.downloading import RECORD
-from fourd.training.run import RunConfig
+from fourd.training.run import load_run_config
 from fourd.training.run_layout import SCRATCH
 
 CACHE_VARIABLE = "FOURD_CACHE"
@@ -192,7 +192,7 @@ class Cache:
         with tempfile.TemporaryDirectory(prefix="fourd-") as folder:
             sent = dict(local)
             for number, path in enumerate(filter(is_config, local)):
-                config = load_overlay(RunConfig(), sent[path])
+                config = load_run_config(sent[path])
                 sent[path] = Path(folder) / str(number)
                 save_config(replace(config, capture=Path(self._portable(config.capture))), sent[path])
             yield sent
@@ -225,7 +225,7 @@ class Cache:
 
     def _finish(self, path: str, target: Path, entry: FileEntry) -> None:
         if is_config(path):
-            config = load_overlay(RunConfig(), target)
+            config = load_run_config(target)
             save_config(replace(config, capture=self.root / config.capture), target)
         os.utime(target, ns=(entry.changed_ns, entry.changed_ns))
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from fourd.training.evaluation.held_out import read_score
 from fourd.training.live.state import Phase, TrainingState, is_training, read_state
-from fourd.training.run_layout import VALIDATION, segment_folders
+from fourd.training.run_layout import CHECKPOINTS, VALIDATION, segment_folders
 from fourd.viewer.publish.runs.history import RunHistory
 
 MAX_PICTURES = 24
@@ -89,10 +90,20 @@ def describe(title: str, active: ActiveRun, history: RunHistory) -> dict[str, An
         "remaining_seconds": remaining,
         "is_held_out": state.is_held_out if state else True,
         "psnr": history.last("psnr_smooth"),
+        "held_out": _held_out(active.folder),
         "validation_psnr": history.last("validation/psnr"),
         "pictures": picture_steps(active.folder, step),
         "broken_lines": history.broken,
     }
+
+
+def _held_out(run: Path) -> str:
+    """Return the held-out score of a run in words, or an empty text if it was not measured yet."""
+    score = read_score(run / CHECKPOINTS)
+    if score is None:
+        return ""
+    warning = score.warning()
+    return score.describe() + (f". Warning: {warning}." if warning else "")
 
 
 def _active(folder: Path, segment: int | None) -> ActiveRun:

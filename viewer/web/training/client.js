@@ -12,6 +12,7 @@
  * @property {number} seconds Training time.
  * @property {number | null} remaining_seconds
  * @property {boolean} is_held_out
+ * @property {string} held_out The held-out score in words, or an empty text if it was not measured yet.
  * @property {number | null} psnr In dB, of the training views, smoothed.
  * @property {number | null} validation_psnr In dB.
  * @property {number[]} pictures Training steps of the validation images.

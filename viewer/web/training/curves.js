@@ -23,6 +23,7 @@ export class Curves {
       ...curve(series["psnr"], { label: "training views", colour: 0, isThin: true }),
       ...curve(series["psnr_smooth"], { label: "training views, smoothed", colour: 0 }),
       ...curve(series["validation/psnr"], { label: views, colour: 1, hasDots: true }),
+      ...curve(series["validation/training_psnr"], { label: "training views, validated", colour: 2, hasDots: true }),
     ]);
     const names = Object.keys(series).filter((name) => name.startsWith(LOSS));
     const losses = names.map((name, colour) => curve(series[name], { label: name.slice(LOSS.length), colour }));

@@ -50,6 +50,7 @@ function numbersOf(status) {
     ["Training time", formatDuration(status.seconds)],
     ["Time left", status.remaining_seconds === null ? "–" : formatDuration(status.remaining_seconds)],
   ];
+  if (status.held_out !== "") numbers.push(["Quality of new views", status.held_out]);
   if (status.segment !== null) numbers.unshift(["Segment", String(status.segment)]);
   if (status.broken_lines > 0) numbers.push(["Unreadable lines of the log", String(status.broken_lines)]);
   return numbers;

@@ -7,13 +7,13 @@ from pathlib import Path
 
 from fourd.capture import Capture, open_capture
 from fourd.carving import carve_capture
-from fourd.carving.matte_quality import measure_mattes
+from fourd.carving.matte_quality import MatteQuality, measure_mattes
 from fourd.errors import UserError
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.plates import MATTE_PATTERNS
 from fourd.training.cameras.selection import DECODED_MB, DataSelection, open_run_views
-from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL
+from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL, HULL_QUALITY
 
 MIN_CAMERAS = 2
 MEASURED_FRAMES = 6
@@ -100,8 +100,7 @@ def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context)
                 "of other cameras, or choose more --views"
             )
         capture = capture.with_mattes(context.log)
-        if not settings.accept_mattes:
-            _require_hull(capture, settings, context)
+        quality = _measure_hull(capture, settings, context)
         files.hull.parent.mkdir(parents=True, exist_ok=True)
         carve_capture(
             capture,
@@ -115,12 +114,15 @@ def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context)
             track=context.track,
             workers=context.workers,
         )
+        if quality is not None:
+            quality.save(files.hull / HULL_QUALITY)
 
 
-def _require_hull(capture: Capture, settings: CarveStageSettings, context: Context) -> None:
-    """Raise UserError if the hulls of a few frames cover less than a third of the mattes' area.
+def _measure_hull(capture: Capture, settings: CarveStageSettings, context: Context) -> MatteQuality | None:
+    """Measure how much of the mattes the hulls of a few frames cover.
 
-    An empty hull is not an error here, because carving reports it later and names the views that disagree most.
+    Raises UserError if it is less than a third of their area and ``accept_mattes`` is false. An empty hull is not an
+    error here, because carving reports it later and names the views that disagree most.
     """
     quality = measure_mattes(
         capture,
@@ -129,8 +131,9 @@ def _require_hull(capture: Capture, settings: CarveStageSettings, context: Conte
         max_frames=MEASURED_FRAMES,
         track=context.track,
     )
-    if quality is not None and quality.kept_share > 0:
+    if quality is not None and quality.kept_share > 0 and not settings.accept_mattes:
         quality.require_hull(capture.path)
+    return quality
 
 
 def _open_training_views(files: CarveFiles, selection: DataSelection) -> Capture:
