@@ -26,7 +26,7 @@ from fourd.training.evaluation.held_out import (
 from fourd.training.loop import Trainer
 from fourd.training.run import open_run
 from fourd.training.run_layout import HULL, HULL_QUALITY
-from tests.captures import ring
+from tests.captures import ring_cameras
 from tests.training.small import SMALL, full_config, quiet, train
 
 CONFIG = replace(SMALL, test_views=(), max_steps=10, checkpoint_steps=4)
@@ -35,7 +35,7 @@ SCORE = HeldOutScore(6, ("05",), "left out", 20.0, 24.5, 8, "image", 20.0)
 
 def test_the_best_surrounded_camera_is_left_out() -> None:
     """Catches a camera at the rim of the rig, from which no other camera can predict the view."""
-    cameras = ring(12)
+    cameras = ring_cameras(12, 32)
     half = [cameras[index] for index in (0, 1, 2, 3, 4)]
     assert best_surrounded(half, np.zeros(3)) == 2
 
@@ -44,14 +44,14 @@ def test_the_best_surrounded_camera_is_left_out() -> None:
 def test_small_rigs_leave_out_less(count: int) -> None:
     """Catches a rig of three cameras that loses one, a rig of four that loses one for as long as large rigs do, and a
     missing score without a reason."""
-    plan = plan_held_out(HeldOutConfig(until=0.6), ring(count), range(count), [], np.zeros(3))
+    plan = plan_held_out(HeldOutConfig(until=0.6), ring_cameras(count, 32), range(count), [], np.zeros(3))
     assert (plan.camera is None, bool(plan.reason)) == (count < 4,) * 2
     assert count < 4 or plan.until == (0.3 if count < 6 else 0.6)
 
 
 def test_test_views_replace_the_camera_that_is_left_out() -> None:
     """Catches runs with test views whose training changes."""
-    assert plan_held_out(HeldOutConfig(), ring(8), range(7), [7], np.zeros(3)).camera is None
+    assert plan_held_out(HeldOutConfig(), ring_cameras(8, 32), range(7), [7], np.zeros(3)).camera is None
 
 
 @pytest.mark.parametrize("scene", ["object", "full"])
@@ -63,7 +63,9 @@ def test_a_camera_is_left_out_until_it_is_measured(scene: str, ball_capture: Pat
     run = create_run(ball_capture, tmp_path / "whole", config)
     seen = _train_and_record(Trainer(run, None, quiet(), config))
     score = read_score(run.checkpoints)
-    assert score is not None and score.kind == "left out" and score.step == 6
+    assert score is not None
+    assert score.kind == "left out"
+    assert score.step == 6
     assert score.part == ("box" if scene == "object" else "image")
     left_out = run.capture.names.index(score.cameras[0])
     assert not any(left_out in cameras for step, cameras in seen.items() if step < 6)
@@ -109,7 +111,8 @@ def test_test_views_are_measured_at_the_end(ball_capture: Path, tmp_path: Path) 
     run = create_run(ball_capture, tmp_path / "run", SMALL)
     train(run, SMALL)
     score = read_score(run.checkpoints)
-    assert score is not None and (score.kind, score.cameras, score.step) == ("test", ("03",), 6)
+    assert score is not None
+    assert (score.kind, score.cameras, score.step) == ("test", ("03",), 6)
     assert summarize_run(run.folder).lines[0].startswith("held out: test views 03: ")
 
 
@@ -122,7 +125,8 @@ def test_runs_of_older_versions_leave_out_nothing(ball_capture: Path, tmp_path: 
     path.write_text(yaml.safe_dump(content))
     old = open_run(run.folder)
     trainer = Trainer(old, None, quiet(), old.config.train)
-    assert trainer.held_out.camera is None and not trainer.held_out.exist
+    assert trainer.held_out.camera is None
+    assert not trainer.held_out.exist
     assert trainer.held_out.training == old.training
     save_config(old.config, path)
     assert not open_run(run.folder).config.train.held_out.on
@@ -137,8 +141,10 @@ def test_large_gaps_and_small_hulls_end_with_a_warning(tmp_path: Path) -> None:
     (tmp_path / HULL / HULL_QUALITY).write_text(f'{{"kept_share": 0.62, "poor": ["{poor}"]}}')
     summary = summarize_run(tmp_path)
     assert summary.lines[0] == "held out: camera 05 until step 6: 20.0 dB; training views 24.5 dB"
-    assert "4.5 dB worse than training views" in summary.warnings[0] and "fourd check" in summary.warnings[0]
-    assert "only 62%" in summary.warnings[1] and poor in summary.warnings[1]
+    assert "4.5 dB worse than training views" in summary.warnings[0]
+    assert "fourd check" in summary.warnings[0]
+    assert "only 62%" in summary.warnings[1]
+    assert poor in summary.warnings[1]
     save_score(replace(SCORE, psnr=22.0), tmp_path / "checkpoints")
     (tmp_path / HULL / HULL_QUALITY).write_text('{"kept_share": 0.97, "poor": []}')
     assert not summarize_run(tmp_path).warnings
@@ -162,5 +168,6 @@ def test_a_warm_start_measures_nothing(ball_capture: Path, tmp_path: Path) -> No
     trainer._checkpoint()
     with torch.no_grad():
         warm = Trainer(open_run(run.folder), None, quiet(), CONFIG)
-    assert warm.held_out.camera is None and warm.held_out.score is not None
+    assert warm.held_out.camera is None
+    assert warm.held_out.score is not None
     assert "trained on all cameras" in warm.held_out.score.describe()
