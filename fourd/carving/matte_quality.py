@@ -119,8 +119,10 @@ def read_hull_share(path: Path) -> HullShare | None:
         content = read_json(path)
     except (OSError, ValueError, UserError):
         return None
-    share, poor = (content.get(name) if isinstance(content, dict) else None for name in ("kept_share", "poor"))
-    if type(share) not in (int, float) or not 0 <= share <= 1 or not isinstance(poor, list):
+    if not isinstance(content, dict):
+        return None
+    share, poor = content.get("kept_share"), content.get("poor")
+    if not isinstance(share, int | float) or not 0 <= share <= 1 or not isinstance(poor, list):
         return None
     return HullShare(float(share), tuple(line for line in poor if isinstance(line, str) and len(line) <= MAX_LINE))
 
