@@ -108,7 +108,7 @@ class Trainer:
         self.psnr = 0.0
         if found is not None:
             self._restore(found)
-        self.held_out = HeldOutViews(run, self.done, is_warm=found is not None and self.done == 0)
+        self.held_out = HeldOutViews(run, run.config.train, self.done, is_warm=found is not None and self.done == 0)
         cameras, frames = run.capture.cameras, run.capture.frame_count
         self.sampler = StepSampler(budget, cameras, self.held_out.training, frames, run.focus, group)
         group.broadcast_parameters(self.stepper.dense_parameters)

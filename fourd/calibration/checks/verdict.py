@@ -24,12 +24,13 @@ class Verdict:
     is_good: bool
 
 
-def judge(agreement: Agreement | None, warnings: Sequence[str]) -> Verdict:
+def judge(agreement: Agreement | None, warnings: Sequence[str], *, is_subject_agreeing: bool = False) -> Verdict:
     """Return the verdict on a capture that has no problems.
 
     Args:
         agreement: result of the check of the calibration, or None if the images were not matched.
         warnings: all warnings about the capture.
+        is_subject_agreeing: whether the mattes verify the calibration, so that it needs no matches.
     """
     if agreement is None:
         return Verdict("Complete, but neither the calibration nor the images were checked (--quick)", False)
@@ -39,6 +40,11 @@ def judge(agreement: Agreement | None, warnings: Sequence[str]) -> Verdict:
     if agreement.score is not None and agreement.pairs > 1 and is_disagreeing(agreement.score):
         return Verdict("Usable, but the calibration does not fit the images (see the warnings above)", False)
     unverified = agreement.unverified
+    if is_subject_agreeing:
+        seen = "the mattes verify the calibration, for which the images have too few matches"
+        return Verdict(
+            f"Usable, but see the warnings above; {seen}" if warnings else f"Good to use; {seen}", not warnings
+        )
     if len(unverified) == len(agreement.evidence):
         return Verdict(
             "Usable, but the calibration could not be verified: the images have too few matches, which is common for "

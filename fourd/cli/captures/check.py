@@ -16,6 +16,7 @@ from fourd.capture import open_capture
 from fourd.capture.check import Report, check_capture, first_lines
 from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.carving.matte_quality import MatteQuality, measure_mattes
+from fourd.carving.rig_evidence import RigEvidence, check_rig
 from fourd.cli.locations import CaptureLocation, transfer_progress
 from fourd.errors import UserError, command_line
 from fourd.matting.contours import find_foreign_mattes
@@ -26,6 +27,8 @@ from fourd.sync.lateness import find_late_cameras
 MOST_LINES = 20
 DECODE_SECONDS = 60.0
 """All images and mattes are decoded if this probably takes at most this number of seconds."""
+SUBJECT_SIDE_PX = 512
+"""Longer image side, in pixels, to which mattes are reduced to compare them with the calibration."""
 MEASURED_FRAMES = 12
 """Number of frames in which each matte is compared with the visual hull of the other views."""
 
@@ -33,7 +36,7 @@ MEASURED_FRAMES = 12
 @dataclass(frozen=True)
 class Arguments:
     """The exit code is 0 if fourd can use the capture, else 2. "Good to use" means that the files are whole and that
-    matches between the images confirm the calibration of every camera.
+    matches between the images, or the mattes of the subject, confirm the calibration of every camera.
     """
 
     capture: CaptureLocation
@@ -58,7 +61,7 @@ def _check(capture: Path, arguments: Arguments) -> None:
     track = Tracker(Terminal(stderr=True)).track
     seconds = 0.0 if arguments.quick else DECODE_SECONDS
     report = check_capture(capture, deep=arguments.deep, decode_seconds=seconds, track=track)
-    agreement = quality = None
+    agreement = quality = subject = None
     found: list[str] = []
     if not (arguments.quick or report.problems):
         try:
@@ -67,13 +70,17 @@ def _check(capture: Path, arguments: Arguments) -> None:
             found += find_late_cameras(capture, track)
             found += find_foreign_mattes(capture, track)
             quality = _quality(capture, report.masked) if report.has_masks else None
+            masked = report.masked or report.cameras
+            if report.has_masks and {each.name for each in agreement.unverified} & set(masked) and not agreement.mixups:
+                subject = _check_subject(capture, masked)
+                subject.require(capture)
             if quality is not None:
                 quality.require_hull(capture)
         except UserError as error:
             # Feature matching decodes images, so it can find damage in files that were not decoded before.
             report = replace(report, problems=(*report.problems, str(error)))
     name = str(arguments.capture)
-    console.print(_facts(name, report, agreement, quality))
+    console.print(_facts(name, report, agreement, quality, subject))
     poor = quality.warnings() if quality else ()
     disagreeing = () if agreement is None or agreement.mixups else agreement.warnings
     warnings = (*report.warnings, *disagreeing, *found, *poor)
@@ -91,7 +98,7 @@ def _check(capture: Path, arguments: Arguments) -> None:
     if report.problems:
         more = len(report.problems) - 1
         raise UserError(report.problems[0] + (f" (and {more} more, listed above)" if more else ""))
-    verdict = judge(agreement, warnings)
+    verdict = judge(agreement, warnings, is_subject_agreeing=_is_verified(subject, agreement, report))
     console.print(
         Text(verdict.words, "green" if verdict.is_good else "yellow"),
         f"next: {command_line('fourd', 'make', arguments.capture, '-o', 'scene.4dv')}",
@@ -106,7 +113,28 @@ def _quality(path: Path, masked: Sequence[str]) -> MatteQuality | None:
         return measure_mattes(capture, max_frames=MEASURED_FRAMES, track=Tracker(Terminal(stderr=True)).track)
 
 
-def _facts(name: str, report: Report, agreement: Agreement | None, quality: MatteQuality | None) -> Table:
+def _check_subject(path: Path, masked: Sequence[str]) -> RigEvidence:
+    """Compare the calibration of the cameras that have masks with their masks."""
+    with open_capture(path, views=masked) as whole:
+        largest = max(max(camera.width, camera.height) for camera in whole.cameras)
+    with open_capture(path, views=masked, scale=min(1.0, SUBJECT_SIDE_PX / largest)) as capture:
+        return check_rig(capture)
+
+
+def _is_verified(subject: RigEvidence | None, agreement: Agreement | None, report: Report) -> bool:
+    """Return whether the masks verify all cameras that the matches do not verify."""
+    if subject is None or agreement is None or subject.finding != "verified":
+        return False
+    return {each.name for each in agreement.unverified} <= set(report.masked or report.cameras)
+
+
+def _facts(
+    name: str,
+    report: Report,
+    agreement: Agreement | None,
+    quality: MatteQuality | None,
+    subject: RigEvidence | None,
+) -> Table:
     sizes = Counter(f"{width} x {height}" for width, height in report.sizes.values())
     table = Table(title=Text(name), title_justify="left", show_header=False, box=None, pad_edge=False)
     table.add_column(style="bold", no_wrap=True)
@@ -120,6 +148,8 @@ def _facts(name: str, report: Report, agreement: Agreement | None, quality: Matt
     if agreement is not None:
         table.add_row("residuals", describe_residuals(agreement))
         table.add_row("calibration", describe_verified(agreement))
+    if subject is not None:
+        table.add_row("subject", str(subject))
     coverage = "" if report.coverage is None else f"; {report.coverage:.1%} of the pixels are foreground"
     kept = "" if quality is None else f"; the visual hull covers {quality.kept_share:.0%} of them"
     mattes = "yes" if report.has_masks else "none; fourd make or fourd matte makes them"

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fourd.cameras import nearest_views
+from fourd.capture import Capture
+from fourd.training.config import TrainConfig
 from fourd.training.evaluation.held_out import (
     HeldOutScore,
     plan_held_out,
@@ -17,7 +22,6 @@ from fourd.training.evaluation.held_out import (
 from fourd.training.evaluation.render import ModelRenderer
 from fourd.training.evaluation.scores import score_view
 from fourd.training.points.frame_points import FramePoints
-from fourd.training.run import Run
 
 ROUNDS = 8
 """Maximum number of rounds of a measurement. A round renders one held-out view and one training view of a frame."""
@@ -32,6 +36,30 @@ VALIDATION = "validation/psnr"
 TRAINING_VALIDATION = "validation/training_psnr"
 
 
+class TrainableRun(Protocol):
+    """The part of :class:`fourd.training.run.Run` that is needed here."""
+
+    @property
+    def capture(self) -> Capture:
+        """The capture with the selected views and frames."""
+
+    @property
+    def training(self) -> list[int]:
+        """Indices of the training cameras."""
+
+    @property
+    def test(self) -> list[int]:
+        """Indices of the test views."""
+
+    @property
+    def focus(self) -> NDArray[np.float64]:
+        """(3,) centre of the bounds, in world units."""
+
+    @property
+    def checkpoints(self) -> Path:
+        """Folder of the checkpoints."""
+
+
 class HeldOutViews:
     """The held-out views of a run: its test views or, in the first part of training, one camera.
 
@@ -40,17 +68,19 @@ class HeldOutViews:
         score: the run's held-out score, or None if it was not measured yet.
     """
 
-    def __init__(self, run: Run, step: int, *, is_warm: bool = False) -> None:
+    def __init__(self, run: TrainableRun, config: TrainConfig, step: int, *, is_warm: bool = False) -> None:
         """Decide what is left out.
 
         Args:
             run: the run.
+            config: the config of the run.
             step: number of completed steps of the checkpoint from which training continues. A score that was measured
                 after this step does not count, because the steps before it are repeated.
             is_warm: whether training starts from networks that were trained on all cameras.
         """
         self._run = run
-        plan = plan_held_out(run.config.train.held_out, run.capture.cameras, run.training, run.test, run.focus)
+        self._config = config
+        plan = plan_held_out(config.held_out, run.capture.cameras, run.training, run.test, run.focus)
         score = read_score(run.checkpoints)
         self.score = score if score is not None and score.step <= step else None
         reason = plan.reason
@@ -114,7 +144,7 @@ class HeldOutViews:
         run, started = self._run, time.monotonic()
         held = run.test or [index for index in [self.camera] if index is not None]
         near = {index: self._near(index) for index in held}
-        is_box = run.config.train.scene == "object"
+        is_box = self._config.scene == "object"
         held_out: dict[tuple[int, int], float] = {}
         training: dict[tuple[int, int], float] = {}
         for number, frame in enumerate(_spread(frames, ROUNDS)):
@@ -150,8 +180,8 @@ class HeldOutViews:
         return [training[index] for index in near]
 
     def _angle_deg(self, first: int, second: int) -> float:
-        rays = [self._run.capture.cameras[index].centre - self._run.focus for index in (first, second)]
-        return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(*rays)), rays[0] @ rays[1])))
+        one, other = (self._run.capture.cameras[index].centre - self._run.focus for index in (first, second))
+        return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other)))
 
     def _psnr(
         self, renderer: ModelRenderer, points: FramePoints, camera: int, frame: int, *, is_box: bool
@@ -162,7 +192,7 @@ class HeldOutViews:
         whole = self._run.capture.cameras[camera]
         if not is_box and view.rgb.shape[:2] != (whole.height, whole.width):
             view = renderer.views.widened(camera, frame, max(whole.width, whole.height) * 2)
-        layers = self._run.config.train.layers
+        layers = self._config.layers
         rendered = renderer.render(points, frame, view.camera, layers, exclude=camera)
         image, box = score_view(rendered.rgb, renderer.scene.reference_picture(view), view.matte, None)
         if is_box:

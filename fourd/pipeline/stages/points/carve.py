@@ -8,6 +8,7 @@ from pathlib import Path
 from fourd.capture import Capture, open_capture
 from fourd.carving import carve_capture
 from fourd.carving.matte_quality import MatteQuality, measure_mattes
+from fourd.carving.rig_evidence import check_rig
 from fourd.errors import UserError
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
@@ -16,6 +17,8 @@ from fourd.training.cameras.selection import DECODED_MB, DataSelection, open_run
 from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL, HULL_QUALITY
 
 MIN_CAMERAS = 2
+SUSPICIOUS_SHARE = 0.85
+"""If the hull covers less than this fraction of the mattes' area, common mistakes of calibrations are tried."""
 MEASURED_FRAMES = 6
 """Number of frames whose mattes are compared with their visual hull before carving."""
 
@@ -121,8 +124,9 @@ def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context)
 def _measure_hull(capture: Capture, settings: CarveStageSettings, context: Context) -> MatteQuality | None:
     """Measure how much of the mattes the hulls of a few frames cover.
 
-    Raises UserError if it is less than a third of their area and ``accept_mattes`` is false. An empty hull is not an
-    error here, because carving reports it later and names the views that disagree most.
+    Raises UserError if ``accept_mattes`` is false and it is less than a third of their area, or if the mattes show that
+    the calibration has a common mistake. An empty hull is not an error here, because carving reports it later and names
+    the views that disagree most.
     """
     quality = measure_mattes(
         capture,
@@ -131,8 +135,11 @@ def _measure_hull(capture: Capture, settings: CarveStageSettings, context: Conte
         max_frames=MEASURED_FRAMES,
         track=context.track,
     )
-    if quality is not None and quality.kept_share > 0 and not settings.accept_mattes:
-        quality.require_hull(capture.path)
+    if quality is not None and not settings.accept_mattes:
+        if quality.kept_share < SUSPICIOUS_SHARE:
+            check_rig(capture, verify=False).require(capture.path)
+        if quality.kept_share > 0:
+            quality.require_hull(capture.path)
     return quality
 
 
