@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,6 +16,7 @@ from fourd.capture.split import write_test_views
 from fourd.cli.main import main
 from fourd.errors import UserError
 from fourd.files import sort_names
+from fourd.pipeline.stages import check
 
 UNMASKED = ("02", "05")
 
@@ -96,3 +98,17 @@ def test_selected_cameras_keep_their_images(ball_capture: Path) -> None:
         assert part.names == (whole.names[3], whole.names[1])
         assert np.array_equal(part.image(0, 0), whole.image(3, 0))
         assert np.array_equal(part.mask(1, 0), whole.mask(1, 0))
+
+
+def test_warnings_of_the_check_are_logged(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a pipeline that uses suspicious poses without a word, because only problems are reported."""
+    report = replace(
+        check_capture(capture), warnings=("extri.yml: suspicious",), problems=("extri.yml: wrong; fix it",)
+    )
+    monkeypatch.setattr(check, "check_capture", lambda *_, **__: report)
+    assert main(["make", str(capture), "-o", str(tmp_path / "s.4dv"), "--max-steps", "1", "--workers", "1"]) == 2
+    output = capsys.readouterr()
+    assert "warning: extri.yml: suspicious" in output.out
+    assert "extri.yml: wrong; fix it" in output.err
