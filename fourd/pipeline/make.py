@@ -124,12 +124,10 @@ def make_scene(
             local copy and publishes the results of each stage; see :mod:`fourd.pipeline.stored`.
         force: whether to remove trained runs that other settings replace.
 
-    Returns:
-        the measured quality of the run, and warnings about it.
+    Returns the measured quality of the run, and warnings about it.
 
     Raises:
-        UserError: if the input is invalid, if a store refuses a request, or if the folder for intermediate results has
-            other files or belongs to another scene.
+        UserError: if the input is invalid, a store refuses a request, or ``work`` has other files or another scene.
     """
     require_suffix(out, (".4dv",), "a scene")
     run = RunRequest(Path(), Path(), train, points_from, lpips_weights, accept_mattes=accept_mattes)

@@ -1,11 +1,15 @@
-"""Facts about a capture that ``fourd info`` prints: its test split, and which cameras have masks."""
+"""Facts that ``fourd info`` prints: test split and masks of a capture, and the quality of a run."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from fourd.capture import Capture
 from fourd.capture.split import read_test_views
+
+if TYPE_CHECKING:
+    from fourd.capture import Capture
 
 
 def split_and_masks(path: Path, capture: Capture) -> list[tuple[str, str]]:
@@ -17,3 +21,11 @@ def split_and_masks(path: Path, capture: Capture) -> list[tuple[str, str]]:
     some = f"of {len(masked)} cameras, not of {', '.join(name for name in capture.names if name not in masked)}"
     rows.append(("masks", "yes" if capture.has_masks else some if masked else "none"))
     return rows
+
+
+def quality_lines(path: Path) -> Iterable[str]:
+    """Yield the held-out quality of a run, and warnings about it."""
+    from fourd.pipeline.stages.summary import summarize_run
+
+    summary = summarize_run(path)
+    return [*summary.lines, *(f"warning: {line}" for line in summary.warnings)] or ["no held-out score yet"]

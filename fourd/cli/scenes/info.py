@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -19,6 +20,7 @@ from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES, camera_folders
 from fourd.cli.locations import PATH_OR_URL, scene_or_copy
 from fourd.cli.outputs import READS
+from fourd.cli.scenes.capture_facts import quality_lines, split_and_masks
 from fourd.errors import UserError, command_line
 from fourd.files import list_folder, sort_names
 from fourd.limits import MAX_CONFIG_BYTES, open_regular, read_limited, require_regular
@@ -273,18 +275,11 @@ def _run(path: Path) -> Rows:
     if segments:
         trained = sum(1 for segment in segments if checkpoint_files(segment / CHECKPOINTS))
         rows[1] = ("segments", f"{len(segments)}, of which {trained} have a checkpoint")
-    rows += [("quality", line) for line in _quality(path)]
+    rows += [("quality", line) for line in quality_lines(path)]
     rows += [("last measured", line) for line in _last_metrics(path / "metrics.jsonl")]
     rows.append(("first points", f"{sum(1 for _ in path.glob('hull/*.ply'))} frames"))
     rows.append(("size", _bytes(sum(file.stat().st_size for file in path.rglob("*") if file.is_file()))))
     return rows
-
-
-def _quality(path: Path) -> Iterable[str]:
-    from fourd.pipeline.stages.summary import summarize_run
-
-    summary = summarize_run(path)
-    return [*summary.lines, *(f"warning: {line}" for line in summary.warnings)] or ["no held-out score yet"]
 
 
 def _is_number(value: object) -> bool:
@@ -317,10 +312,9 @@ def _last_metrics(path: Path) -> list[str]:
         stream.seek(max(0, path.stat().st_size - (64 << 10)))
         lines = stream.read().splitlines()
     for line in reversed(lines):
-        try:
+        values = None
+        with suppress(ValueError, RecursionError):
             values = json.loads(line)
-        except (ValueError, RecursionError):
-            continue
         if isinstance(values, dict):
             shown = [f"{key[:40]} {value:g}" for key, value in values.items() if _is_number(value)]
             return [", ".join(shown[:8])]
@@ -334,7 +328,6 @@ def _capture(path: Path) -> Rows:
     rows: Rows = []
     if calibrated and (folders or videos):
         from fourd.capture import open_capture
-        from fourd.cli.scenes.capture_facts import split_and_masks
 
         with open_capture(path) as capture:
             rows.append(("cameras", f"{len(capture.names)}, calibrated: {_names(capture.names)}"))
@@ -347,8 +340,7 @@ def _capture(path: Path) -> Rows:
         rows.append(("calibration", "yes" if calibrated else "none: training needs intri.yml and extri.yml"))
     rows.append(("videos", _names(videos) or "none"))
     has_plates = (path / "bgs").is_dir() or (path / ".fourd" / "plates").is_dir()
-    rows.append(("background plates", "yes" if has_plates else "none"))
-    return rows
+    return [*rows, ("background plates", "yes" if has_plates else "none")]
 
 
 def _cameras_in(images: Path) -> list[str]:
