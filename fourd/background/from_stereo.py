@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from fourd.background.plates import PlateView
 from fourd.background.stereo.colouring import sample_coloured_points
 from fourd.background.stereo.completion import complete_surfaces
-from fourd.background.stereo.depth_maps import MIN_FEATURES, reconstruct_surfaces
+from fourd.background.stereo.depth_maps import MIN_FEATURES, StereoResult
 from fourd.errors import UserError
 from fourd.formats.ply import ColouredPoints
-from fourd.progress import Log, Track, untracked
+from fourd.progress import Log
 
 MIN_SHARE = 0.1
 """Minimum fraction of depth-map cells with a measured depth, among all cells outside the plates' holes (areas that do
@@ -23,13 +23,12 @@ not show the background). If the fraction is smaller, an error is raised."""
 
 def seed_from_stereo(
     plates: Sequence[PlateView],
+    stereo: StereoResult,
     points: int,
     *,
     fill: bool = True,
     seed: int = 0,
-    workers: int = 1,
     log: Log = lambda line: None,
-    track: Track = untracked,
 ) -> ColouredPoints:
     """Create coloured points of a static background. The points are evenly spread over the plates' images.
 
@@ -40,13 +39,12 @@ def seed_from_stereo(
 
     Args:
         plates: clean plates of at least two cameras.
+        stereo: result of :func:`~fourd.background.stereo.depth_maps.reconstruct_surfaces` on the plates.
         points: requested number of points, at least 1. If the plates show the background at few pixels, the result has
             fewer points than requested.
         fill: whether to extrapolate depth into areas where stereo finds no match.
         seed: seed of the random numbers.
-        workers: number of worker processes.
         log: reports the number of features and the number of points.
-        track: progress callback.
 
     Returns:
         the points in random order. For every N, the first N points are a uniform sample of all points.
@@ -57,7 +55,6 @@ def seed_from_stereo(
     """
     if len(plates) < 2 or points < 1:
         raise ValueError(f"expected at least 2 plates and 1 point, got {len(plates)} and {points}")
-    stereo = reconstruct_surfaces(plates, seed, workers, track)
     log(f"features: {stereo.feature_count} triangulated, {stereo.reliable_count} of them seen in three plates or more")
     if stereo.feature_count < MIN_FEATURES:
         raise _overlap_error(f"{MIN_FEATURES} features", f"{stereo.feature_count}")

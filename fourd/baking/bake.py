@@ -37,7 +37,6 @@ from fourd.model.sources import OCCLUSION_FALLOFF_SPACINGS, SourceViews, sample_
 from fourd.ops.morton import morton_order
 from fourd.training.occlusion import with_surface_depth
 from fourd.training.points.frame_points import FramePoints
-from fourd.training.rendering import NEAR
 from fourd.training.run import Run, TrainedRun
 from fourd.training.segments.segmented_run import SegmentedRun, SegmentFrame
 
@@ -126,7 +125,7 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float | 
         fade_views=run.config.train.model.fade_views,
         sh_range=trained.model.sh_range,
         sh_base=trained.model.sh_base,
-        near=NEAR,
+        near=run.config.scene.near,
         pixel_filter=run.config.train.pixel_filter,
         kind=run.config.train.scene,
         background=None if background is None else SceneBackground(background.points.xyz.shape[0]),
@@ -143,7 +142,7 @@ def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFram
     occlusion = trained.model.config.occlusion
 
     def get_source_view(index: int, points: EvaluatedPoints) -> SourceViews:
-        return with_surface_depth(views.sources([index], frame), points, occlusion)
+        return with_surface_depth(views.sources([index], frame), points, occlusion, trained.run.config.scene.near)
 
     points, time = trained.frames.get(frame), trained.run.capture.time(frame)
     return _bake_points(trained.model, points, time, sources, get_source_view)

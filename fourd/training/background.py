@@ -36,7 +36,11 @@ MIN_RADIUS = 0.6
 
 
 def create_background(
-    points: ColouredPoints, plates: Mapping[int, PlateView], config: TrainConfig, contraction: Contraction
+    points: ColouredPoints,
+    plates: Mapping[int, PlateView],
+    config: TrainConfig,
+    contraction: Contraction,
+    near: float,
 ) -> StaticBackground:
     """Create an untrained background.
 
@@ -45,6 +49,7 @@ def create_background(
         plates: camera index -> clean plate.
         config: the run's training config.
         contraction: function that maps unbounded space into the volume of the K-Planes.
+        near: depth of the run's near plane in world units.
     """
     order = morton_order(points.xyz)
     xyz, rgb = torch.from_numpy(points.xyz[order]), torch.from_numpy(points.rgb[order]).float() / 255
@@ -75,7 +80,7 @@ def create_background(
             torch.nn.init.zeros_(plane)
     cloud = FramePoints.initial(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)
     cloud.is_permanent = outside_all_images(xyz, [plate.camera for plate in plates.values()])
-    return StaticBackground(model, cloud, plates)
+    return StaticBackground(model, cloud, plates, near)
 
 
 def outside_all_images(xyz: Tensor, cameras: Sequence[Camera]) -> Tensor:
@@ -111,12 +116,14 @@ class StaticBackground:
         model: point model without time planes, in contracted space.
         points: the background's points.
         plates: camera index in the capture -> clean plate. Only training cameras have an entry.
+        near: depth of the near plane in world units.
         rig: the current cameras; if None, the cameras stored in ``plates`` are used.
     """
 
     model: PointModel
     points: FramePoints
     plates: Mapping[int, PlateView]
+    near: float
     rig: Rig | None = None
     _step: int = 0
     _cache: dict[int, _CachedPlate] = field(default_factory=dict)
@@ -152,7 +159,7 @@ class StaticBackground:
             pixels, depth = camera.project(xyz)
             rows = np.flatnonzero(camera.is_in_image(pixels, depth) & hidden)
             column, row = np.minimum(pixels[rows].astype(np.intp), (camera.width - 1, camera.height - 1)).T
-            behind = depth[rows] - occlusion_depth(self.points, camera).cpu().numpy()[row, column]
+            behind = depth[rows] - occlusion_depth(self.points, camera, self.near).cpu().numpy()[row, column]
             hidden[rows] = behind > MAX_DEPTH_BEHIND * spacing[rows]
         return torch.from_numpy(hidden).to(self.points.xyz.device)
 
@@ -213,7 +220,7 @@ class StaticBackground:
     def _evaluate_plate(self, points: SizedPoints, image: Tensor, camera: Camera) -> _CachedPlate:
         with torch.no_grad():
             encoded = self.model.encode_images(image[None])
-        depth = occlusion_depth(points, camera) if self.model.config.occlusion else None
+        depth = occlusion_depth(points, camera, self.near) if self.model.config.occlusion else None
         return _CachedPlate(self._step, depth, None if encoded is None else encoded[0])
 
 

@@ -313,6 +313,9 @@ class TrainConfig:
     """Size of the pool of views from which each step samples its source views. The pool contains the views nearest to
     the target view. If the pool is larger than the number of source views (`model.neighbours`), some steps use source
     views at wide baselines, which also occur when novel views are rendered."""
+    near: float | None = None
+    """Depth of the near plane in world units: what is nearer to a camera is not shown. If null, it is half the depth of
+    the nearest surface that a camera of the capture sees, and at most a third of the depth of the subject."""
     image_scale: float = 1.0
     """Scale of the images. A scale of 0.5 halves width and height."""
     views: tuple[str, ...] | None = None
@@ -370,7 +373,14 @@ class TrainConfig:
                 "segments.frames: expected no refinement of cameras or colours, because each segment would refine its "
                 "own cameras, got both",
             )
-        for name in ("max_steps", "max_seconds", "checkpoint_seconds", "checkpoint_steps", "validation_seconds"):
+        for name in (
+            "near",
+            "max_steps",
+            "max_seconds",
+            "checkpoint_seconds",
+            "checkpoint_steps",
+            "validation_seconds",
+        ):
             value = getattr(self, name)
             require(value is None or value > 0, f"{name}: expected more than 0, got {value}")
         require(self.memory_mb >= 16, f"memory_mb: expected at least 16, got {self.memory_mb}")

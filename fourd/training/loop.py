@@ -100,7 +100,7 @@ class Trainer:
             console.print(note, style="yellow")
         saved = None if found is None else points_folder(found)
         background = run.background(saved)
-        self.scene = build_scene(budget, model, run.view_store(device), background)
+        self.scene = build_scene(budget, model, run.view_store(device), background, run.config.scene.near)
         self.refinement = run.new_refinement()
         self.stepper = Stepper(self.scene, budget, lpips if lpips is None else lpips.to(device), self.refinement, group)
         self.done = 0

@@ -15,7 +15,6 @@ from fourd.cameras import Camera
 from fourd.model.sources import SourceViews
 from fourd.ops.points.arrays import render_points_numpy
 from fourd.raster import render_points
-from fourd.training.rendering import NEAR
 
 SURFACE_LAYERS = 4
 MAX_DILATION_PX = 16
@@ -32,24 +31,25 @@ class SizedPoints(Protocol):
     def density(self) -> Tensor: ...
 
 
-def surface_depth(points: SizedPoints, camera: Camera) -> Tensor:
-    """Render the depth (H, W) of the nearest surface in world units. It is infinite where alpha is at most 0.5."""
+def surface_depth(points: SizedPoints, camera: Camera, near: float) -> Tensor:
+    """Render the depth (H, W) of the nearest surface beyond the near plane, in world units. It is infinite where
+    alpha is at most 0.5."""
     if points.xyz.device.type == "cpu":
         # NumPy is faster here: after a torch operation, torch's threads busy-wait for the next one and slow down the
         # renderer's threads.
         ones = np.ones((points.xyz.shape[0], 1), np.float32)
         arrays = (points.xyz.numpy(), ones, points.radius.numpy(), points.density.numpy())
-        _, alpha, depth = render_points_numpy(*arrays, camera, layers=SURFACE_LAYERS, near=NEAR)
+        _, alpha, depth = render_points_numpy(*arrays, camera, layers=SURFACE_LAYERS, near=near)
         return torch.from_numpy(np.where(alpha > 0.5, depth, np.float32(np.inf)))
     colour = torch.ones_like(points.radius)[:, None]
     with torch.no_grad():
         render = render_points(
-            points.xyz, colour, points.radius, points.density, camera, layers=SURFACE_LAYERS, near=NEAR
+            points.xyz, colour, points.radius, points.density, camera, layers=SURFACE_LAYERS, near=near
         )
     return torch.where(render.alpha > 0.5, render.depth, torch.inf)
 
 
-def occlusion_depth(points: SizedPoints, camera: Camera) -> Tensor:
+def occlusion_depth(points: SizedPoints, camera: Camera, near: float) -> Tensor:
     """Compute the depth (H, W) behind which points are occluded: the surface depth, dilated by the typical point size.
 
     Dilation is needed because the surface depth is rendered from discs that face the camera: on a floor viewed at a
@@ -58,8 +58,8 @@ def occlusion_depth(points: SizedPoints, camera: Camera) -> Tensor:
     around it.
     """
     pixels, depth = camera.project(points.xyz.cpu().double().numpy())
-    inside = camera.is_in_image(pixels, depth) & (depth > NEAR)
-    surface = surface_depth(points, camera)
+    inside = camera.is_in_image(pixels, depth) & (depth > near)
+    surface = surface_depth(points, camera, near)
     if not inside.any():
         return surface
     radius_px = camera.intrinsics[0, 0] * points.radius.cpu().numpy()[inside] / depth[inside]
@@ -77,10 +77,10 @@ def _maximum_filter(image: Tensor, reach: int) -> Tensor:
     return functional.max_pool2d(rows, (1, 2 * reach + 1), stride=1, padding=(0, reach))[0]
 
 
-def with_surface_depth(sources: SourceViews, points: SizedPoints, occlusion: bool) -> SourceViews:
+def with_surface_depth(sources: SourceViews, points: SizedPoints, occlusion: bool, near: float) -> SourceViews:
     """Add the surface depth of ``points`` to each of the views ``sources``. If ``occlusion`` is false, the views are
     returned unchanged."""
     if not occlusion:
         return sources
-    depths = [surface_depth(points, camera) for camera in sources.cameras]
+    depths = [surface_depth(points, camera, near) for camera in sources.cameras]
     return replace(sources, depth=torch.stack(depths))

@@ -14,8 +14,6 @@ from fourd.model.point_model import EvaluatedPoints
 from fourd.raster import PointRender, point_visibility, render_points
 from fourd.training.points.frame_points import FramePoints
 
-NEAR = 0.01
-"""Depth of the near plane in world units."""
 COUNT_STEP = 1024
 """The number of visible points is rounded up to a multiple of this number, so that tensors have few different sizes and
 fit into memory that earlier steps have freed."""
@@ -50,9 +48,10 @@ def concatenate(clouds: Sequence[RenderablePoints]) -> RenderablePoints:
 
 
 def composite(
-    clouds: Sequence[RenderablePoints], viewer: Camera, layers: int, background: Tensor | None = None
+    clouds: Sequence[RenderablePoints], viewer: Camera, layers: int, near: float, background: Tensor | None = None
 ) -> PointRender:
-    """Render all clouds together, so that they occlude each other.
+    """Render all clouds together, so that they occlude each other. ``near`` is the depth of the near plane in world
+    units.
 
     The result has features (H, W, 4): the first three channels are the colour, and the last is the contribution of the
     first cloud to alpha.
@@ -67,13 +66,13 @@ def composite(
         torch.cat([cloud.density for cloud in clouds]),
         viewer,
         layers=layers,
-        near=NEAR,
+        near=near,
         background=background,
     )
 
 
 def composite_samples(
-    clouds: Sequence[RenderablePoints], viewer: Camera, layers: int, samples: int
+    clouds: Sequence[RenderablePoints], viewer: Camera, layers: int, near: float, samples: int
 ) -> tuple[Tensor, Tensor]:
     """Render all clouds together, with ``samples`` x ``samples`` evenly spaced samples in each pixel.
 
@@ -81,7 +80,7 @@ def composite_samples(
         features (H, W, 4) as in :func:`composite`, and alpha (H, W). Features and alpha are means over the samples of
         each pixel.
     """
-    render = composite(clouds, viewer if samples == 1 else viewer.rescale(samples), layers)
+    render = composite(clouds, viewer if samples == 1 else viewer.rescale(samples), layers, near)
     if samples == 1:
         return render.features, render.alpha
     channels = torch.cat([render.features, render.alpha[..., None]], 2).permute(2, 0, 1)
@@ -89,7 +88,9 @@ def composite_samples(
     return means[..., :-1], means[..., -1]
 
 
-def visible_points(clouds: Sequence[FramePoints], viewer: Camera, layers: int, min_weight: float) -> list[Tensor]:
+def visible_points(
+    clouds: Sequence[FramePoints], viewer: Camera, layers: int, near: float, min_weight: float
+) -> list[Tensor]:
     """Return the indices of the visible points of each cloud. A point is visible if its compositing weight exceeds
     ``min_weight`` at one or more pixels of the view. As in :func:`select_heaviest`, the number of indices is rounded up
     to a multiple of COUNT_STEP.
@@ -104,7 +105,7 @@ def visible_points(clouds: Sequence[FramePoints], viewer: Camera, layers: int, m
         torch.cat([cloud.density for cloud in clouds]),
         viewer,
         layers=layers,
-        near=NEAR,
+        near=near,
     )
     weights = weight.split([cloud.xyz.shape[0] for cloud in clouds])
     return [select_heaviest(each, min_weight) for each in weights]

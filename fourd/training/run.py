@@ -75,6 +75,8 @@ class SceneConfig:
     reach: float = 1.0
     """Distance from the centre of the bounds to the farthest camera. Up to this distance from the centre, the
     contraction of space for the background's K-Planes causes no distortion."""
+    near: float = 0.01
+    """Depth of the near plane. Nothing nearer to a camera than this is shown (see :mod:`fourd.training.near_plane`)."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +164,7 @@ class Run:
         initial = read_ply(self.folder / BACKGROUND / POINTS)
         plates = dict(zip(self.training, read_run_plates(self.capture, self.training, self.folder), strict=True))
         torch.manual_seed(self.config.train.seed + 1)
-        background = create_background(initial, plates, self.config.train, self.contraction())
+        background = create_background(initial, plates, self.config.train, self.contraction(), self.config.scene.near)
         if self.config.train.background.shadow:
             scene = self.config.scene
             background.model.shadow = ShadowField(np.asarray(scene.lower), np.asarray(scene.upper), scene.frame_count)
@@ -284,7 +286,7 @@ def load_models(run: Run) -> TrainedRun:
         rig = refinement.rig()
         run = replace(run, capture=run.capture.with_cameras(rig.cameras))
     background = run.background(points_folder(found))
-    scene = build_scene(run.config.train, model, run.view_store(), background)
+    scene = build_scene(run.config.train, model, run.view_store(), background, run.config.scene.near)
     for prefix, each in scene.models.items():
         restore(each, tensors, f"{prefix}.", found)
         each.requires_grad_(False)

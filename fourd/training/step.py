@@ -16,6 +16,7 @@ from fourd.training.config import TrainConfig
 from fourd.training.distributed.process_group import ALONE, ProcessGroup
 from fourd.training.losses.lpips import LPIPS
 from fourd.training.losses.term import RenderedStep, weighted_values
+from fourd.training.near_plane import revert_moves_before_near
 from fourd.training.points.densification import accumulate_gradient_magnitudes
 from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.selective_adam import BETAS, EPSILON
@@ -87,7 +88,7 @@ class Stepper:
         colour, rendered = self._render(evaluated, target, time, sample, number)
         terms = weighted_values(self.terms, rendered)
         _require_finite(terms, number)
-        before = evaluated[0].parameters["xyz"].detach()
+        before = [each.parameters["xyz"].detach() for each in evaluated]
         self._update(evaluated, terms, rate_factor)
         with torch.no_grad():
             if self.config.smoothing > 0 and target.matte is not None:
@@ -95,8 +96,9 @@ class Stepper:
                 smooth_surface(points, evaluated[0].rows, rates, self.config.smoothing)
             if self.config.keep_in_hull and target.matte is not None:
                 views = _silhouettes(target.camera, target.matte, evaluated[0])
-                revert_moves_out_of_silhouettes(points, evaluated[0].rows, before, views)
-            for each in evaluated:
+                revert_moves_out_of_silhouettes(points, evaluated[0].rows, before[0], views)
+            for each, start in zip(evaluated, before, strict=True):
+                revert_moves_before_near(each.cloud, each.rows, start, target.camera, self.scene.near)
                 each.cloud.radius[each.rows] = each.evaluated.radius
                 each.cloud.density[each.rows] = each.evaluated.density
             shown, truth = (rendered.prediction, rendered.truth) if target.fills_picture else (colour, target.rgb)
@@ -122,7 +124,7 @@ class Stepper:
         clouds = [each.renderable for each in evaluated]
         if self.refinement is not None:
             clouds = self.refinement.attach_camera_gradient(clouds, sample.target)
-        features, alpha = composite_samples(clouds, target.camera, sample.layers, self.config.samples)
+        features, alpha = composite_samples(clouds, target.camera, sample.layers, self.scene.near, self.config.samples)
         colour, coverage = features[..., :3], features[..., 3]
         if self.refinement is not None:
             colour = self.refinement.recolour(colour, alpha, sample.target)

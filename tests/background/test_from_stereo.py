@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from fourd.background.from_stereo import seed_from_stereo
 from fourd.background.plates import PlateView
+from fourd.background.stereo.depth_maps import StereoResult, reconstruct_surfaces
 from fourd.background.stereo.sparse import triangulate_sparse
 from fourd.cameras import look_at
 from fourd.errors import UserError
@@ -65,13 +67,17 @@ def plate(room: Room, index: int) -> PlateView:
     return PlateView(f"{index:02d}", camera, rgb, ~hole)
 
 
+def seeds(plates: list[PlateView], points: int, workers: int = 1, **settings: Any) -> ColouredPoints:
+    return seed_from_stereo(plates, reconstruct_surfaces(plates, 0, workers, untracked), points, **settings)
+
+
 @pytest.fixture(scope="module")
 def stage() -> Stage:
     """Points of four plates of a room, with extrapolated depths."""
     room = Room(np.random.default_rng(3))
     plates = [plate(room, index) for index in range(4)]
     lines: list[str] = []
-    return Stage(plates, seed_from_stereo(plates, 2000, log=lines.append), lines)
+    return Stage(plates, seeds(plates, 2000, log=lines.append), lines)
 
 
 def test_points_lie_on_the_walls(stage: Stage) -> None:
@@ -148,7 +154,7 @@ def test_blank_walls_are_an_error(stage: Stage) -> None:
     with pytest.raises(
         UserError, match=r"plates: expected at least 8 features .*, got 0; .*--background FILE.ply"
     ) as caught:
-        seed_from_stereo(blank, 1000)
+        seeds(blank, 1000)
     assert "\n" not in str(caught.value)
 
 
@@ -161,20 +167,20 @@ def test_plates_without_overlap_are_an_error(rng: np.random.Generator) -> None:
         camera = look_at(np.array([0.1 * side, 0.0, 1.0]), np.array([2 * side, 0.0, 1.0]), up, intrinsics, 176, 132)
         plates.append(PlateView(f"{index}", camera, room.picture(camera), np.ones((132, 176), bool)))
     with pytest.raises(UserError, match=r"plates: expected at least .* match between two plates, got .*--background"):
-        seed_from_stereo(plates, 1000)
+        seeds(plates, 1000)
 
 
 @pytest.mark.parametrize(("count", "points"), [(1, 10), (3, 0)])
 def test_invalid_arguments(stage: Stage, count: int, points: int) -> None:
     """Catches invalid arguments without an error that names the expected values."""
     with pytest.raises(ValueError, match="expected at least 2 plates and 1 point"):
-        seed_from_stereo(stage.plates[:count], points)
+        seed_from_stereo(stage.plates[:count], StereoResult(0, 0, [], []), points)
 
 
 @pytest.mark.slow
 def test_same_points_from_any_number_of_processes(stage: Stage) -> None:
     """Catches results that depend on the number of processes or on the order of the depth maps."""
-    again = seed_from_stereo(stage.plates, 2000, workers=2)
+    again = seeds(stage.plates, 2000, workers=2)
     assert np.array_equal(again.xyz, stage.points.xyz)
     assert np.array_equal(again.rgb, stage.points.rgb)
 
@@ -183,6 +189,6 @@ def test_same_points_from_any_number_of_processes(stage: Stage) -> None:
 def test_measured_points_only(stage: Stage) -> None:
     """Catches points that are extrapolated although ``fill`` is False. Without extrapolation, all points are within 1
     cm of the walls."""
-    measured = seed_from_stereo(stage.plates, 100_000, fill=False)
+    measured = seeds(stage.plates, 100_000, fill=False)
     assert 5_000 < len(measured.xyz) < 100_000
     assert np.percentile(to_walls(measured.xyz), 90) < 0.01

@@ -10,7 +10,6 @@ import torch
 
 from fourd.background.contraction import Contraction, contraction_around
 from fourd.background.plates import PlateView
-from fourd.background.radiance import from_radiance as points_module
 from fourd.background.radiance.config import RadianceConfig
 from fourd.background.radiance.depths import add_field_depths, median_inverse_depths
 from fourd.background.radiance.field import RadianceField, bounded_exp
@@ -22,7 +21,7 @@ from fourd.background.radiance.rays import Rays, camera_rays, resample_edges, to
 from fourd.background.radiance.room_depth import Room as RoomShape
 from fourd.background.radiance.volume_rendering import distortion_loss, rendering_weights, weight_quantile
 from fourd.background.shell import viewing_centre
-from fourd.background.stereo.depth_maps import ReducedPlate, StereoResult
+from fourd.background.stereo.depth_maps import ReducedPlate, StereoResult, reconstruct_surfaces
 from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.patchmatch import DepthMap
 from fourd.cameras import Camera
@@ -287,19 +286,18 @@ def test_blank_walls_are_refused(reduced: list[ReducedPlate]) -> None:
     with pytest.raises(
         UserError, match=r"plates: expected at least 8 features .*, got 0; .*--background FILE.ply"
     ) as caught:
-        seed_from_radiance(blank, 1000, SMALL)
+        seed_from_radiance(blank, reconstruct_surfaces(blank, 0, 1, untracked), 1000, SMALL)
     assert "\n" not in str(caught.value)
 
 
-def test_too_few_confirmed_depths_are_an_error(reduced: list[ReducedPlate], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_few_confirmed_depths_are_an_error(reduced: list[ReducedPlate]) -> None:
     """Catches a background made from fog that has consistent depths in all plates. Also catches missing depths that are
     not reported."""
     few = [true_surface(plate, np.arange(len(plate.grid().pixels)) % 400 == 0) for plate in reduced]
-    monkeypatch.setattr(points_module, "reconstruct_surfaces", lambda *given: StereoResult(20, 20, reduced, few))
     lines: list[str] = []
     config = replace(SMALL, steps=2)
     with pytest.raises(UserError, match=r"at least 1% .* that two plates confirm, got 0\.\d%; .*--background FILE"):
-        seed_from_radiance(plates_of(reduced), 500, config, log=lines.append)
+        seed_from_radiance(plates_of(reduced), StereoResult(20, 20, reduced, few), 500, config, log=lines.append)
     assert "too few depths to supervise the field" in lines[1]
 
 
@@ -307,7 +305,7 @@ def test_too_few_confirmed_depths_are_an_error(reduced: list[ReducedPlate], monk
 def test_invalid_arguments(reduced: list[ReducedPlate], count: int, points: int) -> None:
     """Catches invalid arguments without an error that names the expected values."""
     with pytest.raises(ValueError, match="expected at least 2 plates and 1 point"):
-        seed_from_radiance(plates_of(reduced)[:count], points, SMALL)
+        seed_from_radiance(plates_of(reduced)[:count], StereoResult(0, 0, [], []), points, SMALL)
 
 
 @pytest.mark.parametrize(
@@ -340,7 +338,8 @@ def test_points_of_a_room(rng: np.random.Generator) -> None:
         PlateView(f"{i}", camera, room.picture(camera), np.ones((108, 144), bool)) for i, camera in enumerate(cameras)
     ]
     lines: list[str] = []
-    found = seed_from_radiance(plates, 1500, replace(SMALL, steps=150), log=lines.append)
+    stereo = reconstruct_surfaces(plates, 0, 1, untracked)
+    found = seed_from_radiance(plates, stereo, 1500, replace(SMALL, steps=150), log=lines.append)
     assert 1200 <= len(found.xyz) <= 1500
     distance = to_walls(found.xyz)
     assert np.median(distance) < 0.01

@@ -64,7 +64,7 @@ def test_clouds_occlude_each_other_in_any_order() -> None:
     near = _painted(_sheet(0.5, 0.2), (1.0, 0.0, 0.0))
     far = _painted(_sheet(-1.0, 3.0), (0.0, 0.0, 1.0))
     for clouds, coverage in (([near, far], 1.0), ([far, near], 0.0)):
-        picture = composite(clouds, viewer, 15).features
+        picture = composite(clouds, viewer, 15, 0.01).features
         assert picture[32, 32, :3].tolist() == pytest.approx([1, 0, 0], abs=0.05)
         assert picture[4, 4, :3].tolist() == pytest.approx([0, 0, 1], abs=0.05)
         assert float(picture[32, 32, 3]) == pytest.approx(coverage, abs=0.05)
@@ -76,8 +76,8 @@ def test_points_occluded_by_the_other_cloud_are_not_visible() -> None:
     then be trained."""
     viewer = ring_cameras(8, 64)[0]
     near, far = _sheet(0.5, 1.2), _sheet(-1.0, 0.3)
-    assert len(visible_points([far], viewer, 15, 0.05)[0]) > 0
-    both = visible_points([near, far], viewer, 15, 0.05)
+    assert len(visible_points([far], viewer, 15, 0.01, 0.05)[0]) > 0
+    both = visible_points([near, far], viewer, 15, 0.01, 0.05)
     assert [len(rows) > 0 for rows in both] == [True, False]
 
 
@@ -119,7 +119,7 @@ def test_a_floor_at_a_grazing_angle_does_not_occlude_itself() -> None:
     pixels, depth = viewer.project(xyz.double().numpy())
     shown = ((pixels > 8) & (pixels < size - 8)).all(axis=1) & (depth > 0)
     column, row = np.clip(pixels, 0, size - 1).astype(int).T
-    occlusion, surface = occlusion_depth(floor, viewer).numpy(), surface_depth(floor, viewer).numpy()
+    occlusion, surface = occlusion_depth(floor, viewer, 0.01).numpy(), surface_depth(floor, viewer, 0.01).numpy()
     assert ((depth - occlusion[row, column])[shown] < 2 * 0.02).mean() > 0.95
     assert ((depth - surface[row, column])[shown] < 2 * 0.02).mean() < 0.9
     assert (occlusion[row, column] < 1.3 * depth)[shown].mean() > 0.95
@@ -177,7 +177,9 @@ def test_cached_depths_of_plates_expire(run: Run) -> None:
         background.count_step()
     recomputed = background.sources(indices)
     assert recomputed.depth is not None
-    torch.testing.assert_close(recomputed.depth[0], occlusion_depth(background.points, recomputed.cameras[0]))
+    torch.testing.assert_close(
+        recomputed.depth[0], occlusion_depth(background.points, recomputed.cameras[0], background.near)
+    )
     assert not torch.equal(recomputed.depth, first.depth)
     assert background.sources(indices, train_encoder=True).encoded is None
 

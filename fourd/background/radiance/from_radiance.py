@@ -18,7 +18,7 @@ from fourd.background.radiance.room_depth import Room
 from fourd.background.shell import viewing_centre
 from fourd.background.stereo.colouring import sample_coloured_points
 from fourd.background.stereo.completion import complete_surfaces
-from fourd.background.stereo.depth_maps import MIN_FEATURES, StereoResult, reconstruct_surfaces
+from fourd.background.stereo.depth_maps import MIN_FEATURES, StereoResult
 from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.guidance import complete_with_guidance
 from fourd.background.stereo.patches import GreyView
@@ -40,11 +40,11 @@ value, an error is raised."""
 
 def seed_from_radiance(
     plates: Sequence[PlateView],
+    stereo: StereoResult,
     points: int,
     config: RadianceConfig,
     *,
     seed: int = 0,
-    workers: int = 1,
     log: Log = lambda line: None,
     track: Track = untracked,
 ) -> ColouredPoints:
@@ -59,11 +59,11 @@ def seed_from_radiance(
 
     Args:
         plates: clean plates of at least two cameras.
+        stereo: result of :func:`~fourd.background.stereo.depth_maps.reconstruct_surfaces` on the plates.
         points: requested number of points, at least 1. If the plates have few visible pixels, the result has fewer
             points than requested.
         config: settings of the radiance field.
         seed: seed of the random numbers.
-        workers: number of processes for stereo.
         log: reports the fraction of the plates' area with known depths, and how many points are measured, confirmed and
             extrapolated.
         track: progress callback.
@@ -77,7 +77,6 @@ def seed_from_radiance(
     """
     if len(plates) < 2 or points < 1:
         raise ValueError(f"expected at least 2 plates and 1 point, got {len(plates)} and {points}")
-    stereo = reconstruct_surfaces(plates, seed, workers, track)
     log(f"stereo: {stereo.feature_count} features, depths measured for {stereo.measured_share:.0%} of the plates' area")
     if stereo.feature_count < MIN_FEATURES:
         raise _depth_error(f"{MIN_FEATURES} features to match between two plates", f"{stereo.feature_count}")

@@ -49,12 +49,15 @@ class StereoResult:
         reliable_count: number of triangulated points that are seen in three plates or more.
         plates: the plates at the size used for stereo.
         surfaces: one surface per plate. All cells are unknown if there are fewer than 8 triangulated points.
+        feature_depths: one array per plate, the camera depths of the points that are seen in three plates or more and
+            whose feature was detected in this plate.
     """
 
     feature_count: int
     reliable_count: int
     plates: list[ReducedPlate]
     surfaces: list[Surface]
+    feature_depths: tuple[Array, ...] = ()
 
     @property
     def measured_cells(self) -> int:
@@ -81,7 +84,13 @@ def reconstruct_surfaces(plates: Sequence[PlateView], seed: int, workers: int, t
         maps = [DepthMap.unknown(plate.grid()) for plate in reduced]
     else:
         maps = _estimate_maps(reduced, features, seed, workers, track)
-    return StereoResult(len(features.xyz), int(features.reliable.sum()), reduced, fuse_depth_maps(cameras, maps))
+    depths = tuple(
+        plate.camera.project(features.xyz[features.reliable & features.seen[:, index]])[1]
+        for index, plate in enumerate(plates)
+    )
+    return StereoResult(
+        len(features.xyz), int(features.reliable.sum()), reduced, fuse_depth_maps(cameras, maps), depths
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from fourd.training.config import TrainConfig
 from fourd.training.distributed.process_group import ALONE, ProcessGroup
 from fourd.training.loop import Trainer
 from fourd.training.losses.lpips import load_lpips
+from fourd.training.near_plane import choose_near, read_near, sample_hull
 from fourd.training.points.spacing import mean_spacing
 from fourd.training.run import Run, RunConfig, SceneConfig, open_run
 from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, HULL, PREPARATION
@@ -120,6 +121,11 @@ def start_run(capture_path: Path, folder: Path, train: TrainConfig) -> Run:
     selection = DataSelection.of(train)
     with open_run_views(capture_path, selection, folder if train.refine.cameras else None) as views:
         capture = views.capture
+    near = (
+        train.near
+        or read_near(folder)
+        or choose_near(capture.cameras, sample_hull(folder / HULL, capture.frame_numbers))
+    )
     bounds = read_bounds(folder / HULL)
     first = read_ply(folder / HULL / f"{capture.frame_numbers[0]:06d}.ply").xyz
     lower, upper = ((float(x), float(y), float(z)) for x, y, z in (bounds.lower, bounds.upper))
@@ -129,6 +135,7 @@ def start_run(capture_path: Path, folder: Path, train: TrainConfig) -> Run:
         spacing=mean_spacing(first[: train.points]),
         frame_count=max(capture.total_frames, 1),
         reach=contraction_around(capture.cameras, bounds.centre).radius,
+        near=near,
     )
     save_config(RunConfig(resolved(capture_path), scene, train), folder / CONFIG_NAME)
     return open_run(folder)

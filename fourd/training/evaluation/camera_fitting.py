@@ -151,7 +151,8 @@ class _Alignment:
         view = self.renderer.views.view(self.index, frame)
         height, width = view.matte.shape
         part = camera.crop(view.left, view.top, width, height)
-        rendered = render_view(self.clouds[frame], part, self.layers, self.renderer.pixel_filter)
+        near, pixel_filter = self.renderer.scene.near, self.renderer.pixel_filter
+        rendered = render_view(self.clouds[frame], part, self.layers, near, pixel_filter)
         truth = self.renderer.scene.reference_picture(view)
         alpha = _blur(rendered.alpha, blur_px)
         depth = _blur(rendered.depth * rendered.alpha, blur_px) / np.maximum(alpha, 1e-6)

@@ -81,7 +81,9 @@ class ModelRenderer:
             exclude: index of a camera that is not used as a source view. To render a training view, pass the index of
                 its camera, so that the view is not blended from its own image.
         """
-        return render_view(self.evaluate(points, frame, camera, exclude), camera, layers, self.pixel_filter)
+        return render_view(
+            self.evaluate(points, frame, camera, exclude), camera, layers, self.scene.near, self.pixel_filter
+        )
 
     def evaluate(
         self, points: FramePoints, frame: int, camera: Camera, exclude: int | None = None
@@ -94,7 +96,7 @@ class ModelRenderer:
         """Render only the background of a full scene, without shadows."""
         assert isinstance(self.scene, FullScene), "expected a full scene, got an object scene, which has no background"
         points = self.scene.evaluate_background(camera, self._nearest(camera, exclude))
-        return render_view([points], camera, layers, self.pixel_filter)
+        return render_view([points], camera, layers, self.scene.near, self.pixel_filter)
 
     def _nearest(self, camera: Camera, exclude: int | None) -> SelectedViews:
         candidates = [index for index in self.training if index != exclude]
@@ -104,10 +106,13 @@ class ModelRenderer:
         return replace(views, indices=[candidates[i] for i in views.indices])
 
 
-def render_view(clouds: Sequence[RenderablePoints], camera: Camera, layers: int, pixel_filter: float) -> RenderedView:
-    """Render points whose colours were evaluated for ``camera`` or for a nearby camera."""
+def render_view(
+    clouds: Sequence[RenderablePoints], camera: Camera, layers: int, near: float, pixel_filter: float
+) -> RenderedView:
+    """Render points whose colours were evaluated for ``camera`` or for a nearby camera. ``near`` is the depth of the
+    near plane in world units."""
     with torch.no_grad():
-        render = composite(clouds, camera, layers)
+        render = composite(clouds, camera, layers, near)
     images = (render.features[..., :3].clamp(0, 1), render.alpha, render.features[..., 3])
     rgb, alpha, foreground = (filter_pixels_reference(image.cpu().numpy(), pixel_filter) for image in images)
     return RenderedView(rgb, alpha, render.depth.cpu().numpy(), foreground)

@@ -14,7 +14,7 @@ from fourd.raster import render_points
 from fourd.training.background import StaticBackground
 from fourd.training.config import TrainConfig
 from fourd.training.losses.term import RenderedStep
-from fourd.training.rendering import NEAR, visible_points
+from fourd.training.rendering import visible_points
 
 LAYERS = 64
 """Maximum number of points that are composited at each pixel. It is larger than the number of points that overlap at
@@ -69,7 +69,7 @@ def mean_squared_transmittance(background: StaticBackground, viewer: Camera, hid
     ``hidden_weight`` at all pixels are skipped; see :func:`visible_points`.
     """
     points = background.points
-    rows = visible_points([points], viewer, LAYERS, hidden_weight)[0]
+    rows = visible_points([points], viewer, LAYERS, background.near, hidden_weight)[0]
     evaluated = background.model.evaluate(points.xyz[rows], points.spacing[rows], 0.0)
     alpha = render_points(
         evaluated.xyz,
@@ -78,6 +78,6 @@ def mean_squared_transmittance(background: StaticBackground, viewer: Camera, hid
         evaluated.density,
         viewer,
         layers=LAYERS,
-        near=NEAR,
+        near=background.near,
     ).alpha
     return (1 - alpha).square().mean()

@@ -12,12 +12,12 @@ from fourd.training.views import ViewStore
 
 
 def build_scene(
-    config: TrainConfig, model: PointModel, views: ViewStore, background: StaticBackground | None
+    config: TrainConfig, model: PointModel, views: ViewStore, background: StaticBackground | None, near: float
 ) -> TrainingScene:
     """Return a full scene if there is a background, and an object scene otherwise. The model and the background are
-    moved to the device of ``views``."""
+    moved to the device of ``views``. ``near`` is the depth of the near plane in world units."""
     model.to(views.device)
     if background is None:
-        return ObjectScene(config, model, views)
+        return ObjectScene(config, model, views, near)
     background.to(views.device)
     return FullScene(config, model, views, background)

@@ -19,6 +19,7 @@ from fourd.training.losses.lpips import LPIPS
 from fourd.training.losses.term import LossTerm
 from fourd.training.losses.terms import full_scene_terms
 from fourd.training.memory import FULL_RESIDENT_BYTES
+from fourd.training.near_plane import is_before_near
 from fourd.training.points.densification import densify, unobserved_points
 from fourd.training.points.frame_points import FramePoints
 from fourd.training.rendering import RenderablePoints, visible_points
@@ -48,8 +49,12 @@ class FullScene:
         self.config = config
         self.views = views
         self.background = background
-        self.foreground = ObjectScene(config, model, views)
+        self.foreground = ObjectScene(config, model, views, background.near)
         self.models: Mapping[str, PointModel] = {**self.foreground.models, "background": background.model}
+
+    @property
+    def near(self) -> float:
+        return self.background.near
 
     @property
     def static_clouds(self) -> Mapping[str, FramePoints]:
@@ -79,7 +84,8 @@ class FullScene:
         if not (sample.is_plate or self.config.background.joint):
             return self.foreground.evaluate_step(points, time, sample, camera, step)
         clouds = [] if sample.is_plate else [points]
-        rows = visible_points([*clouds, self.background.points], camera, self.config.layers, self.config.hidden_weight)
+        clouds.append(self.background.points)
+        rows = visible_points(clouds, camera, self.config.layers, self.near, self.config.hidden_weight)
         evaluated = []
         if not sample.is_plate:
             evaluated.append(self.foreground.evaluate_visible(points, rows[0], time, sample, camera, step))
@@ -106,7 +112,9 @@ class FullScene:
             static = self.background.points
             is_in_picture = sample.is_plate or self.config.background.joint
             if is_in_picture and int(static.age) % config.background_every == 0:
-                hidden = self.background.hidden_points()
+                cameras = [self.background.camera(index) for index in self.background.plates]
+                before = is_before_near(static.xyz.cpu().numpy(), cameras, self.near)
+                hidden = self.background.hidden_points() | torch.from_numpy(before).to(static.xyz.device)
                 densify(static, config, hidden, [*seed, BACKGROUND_SEED, int(static.age)])
                 self.background.clear_cache()
 

@@ -34,10 +34,11 @@ class ObjectScene:
     background: StaticBackground | None = None
     resident_bytes = RESIDENT_BYTES
 
-    def __init__(self, config: TrainConfig, model: PointModel, views: ViewStore) -> None:
+    def __init__(self, config: TrainConfig, model: PointModel, views: ViewStore, near: float) -> None:
         self.config = config
         self.model = model
         self.views = views
+        self.near = near
         self.models: Mapping[str, PointModel] = {"model": model}
 
     @property
@@ -58,7 +59,7 @@ class ObjectScene:
     def evaluate_step(
         self, points: FramePoints, time: float, sample: StepSample, camera: Camera, step: int
     ) -> list[OptimizedPoints]:
-        rows = visible_points([points], camera, self.config.layers, self.config.hidden_weight)[0]
+        rows = visible_points([points], camera, self.config.layers, self.near, self.config.hidden_weight)[0]
         return [self.evaluate_visible(points, rows, time, sample, camera, step)]
 
     def evaluate_visible(
@@ -68,7 +69,7 @@ class ObjectScene:
         sources = None
         if self.config.model.appearance != "sh":
             views = self.views.sources(sample.sources, sample.frame).weighted(sample.source_weights)
-            sources = with_surface_depth(views, points, self.config.model.occlusion)
+            sources = with_surface_depth(views, points, self.config.model.occlusion, self.near)
         leaves = {name: value[rows].requires_grad_() for name, value in points.parameters.items()}
         evaluated = self.model.evaluate(
             leaves["xyz"], points.spacing[rows], time, explicit_sh=leaves.get("sh"), rgb=leaves.get("rgb")
@@ -107,7 +108,7 @@ class ObjectScene:
             views: SourceViews | None = None
             if self.model.config.appearance != "sh":
                 selected = self.views.sources(sources.indices, frame).weighted(sources.weights)
-                views = with_surface_depth(selected, evaluated, self.model.config.occlusion)
+                views = with_surface_depth(selected, evaluated, self.model.config.occlusion, self.near)
             return [RenderablePoints.of(evaluated, self.model.colour(evaluated, camera, views, is_training=False))]
 
     def reference_picture(self, view: View) -> NDArray[np.float32]:

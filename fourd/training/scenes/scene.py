@@ -94,6 +94,10 @@ class TrainingScene(Protocol):
         """The static background, or None for an object scene."""
 
     @property
+    def near(self) -> float:
+        """Depth of the near plane in world units."""
+
+    @property
     def resident_bytes(self) -> int:
         """Target for the process's resident size while training, in bytes."""
 

@@ -94,7 +94,8 @@ class SegmentedRun:
     def render(self, frame: int, camera: Camera, layers: int, exclude: int | None = None) -> RenderedView:
         """Render a frame. The arguments have the same meaning as in :meth:`ModelRenderer.render`."""
         clouds = [_evaluate(part, camera, exclude) for part in self.at(frame)]
-        return render_view([concatenate(clouds)], camera, layers, self.run.config.train.pixel_filter)
+        config = self.run.config
+        return render_view([concatenate(clouds)], camera, layers, config.scene.near, config.train.pixel_filter)
 
     def close(self) -> None:
         """Close the capture and all segments."""

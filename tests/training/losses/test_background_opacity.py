@@ -55,7 +55,7 @@ def test_the_gradient_on_a_floor_of_many_layers_has_the_right_sign(background: S
     x, y = torch.meshgrid(torch.arange(-2, 2, 0.05), torch.arange(-2, 2, 0.05), indexing="ij")
     floor = torch.stack([x, y, torch.full_like(x, -0.5)], -1).reshape(-1, 3)
     points = FramePoints.initial(floor, torch.full((len(floor),), 0.1), 1.0, explicit_sh=False)
-    dense = StaticBackground(background.model, points, background.plates)
+    dense = StaticBackground(background.model, points, background.plates, background.near)
     viewer = look_at(np.array([3.0, 0, 0.2]), np.zeros(3), np.array([0.0, 0, 1]), INTRINSICS, 64, 64)
     radius_bias = dense.model.geometry_head.layers[-1].bias
     gradient = torch.autograd.grad(mean_squared_transmittance(dense, viewer, 0.0), radius_bias)[0][0]
@@ -74,7 +74,7 @@ def test_a_wall_with_holes_becomes_opaque(background: StaticBackground) -> None:
     wall = torch.stack([torch.full_like(y, -1.0), y, z], -1).reshape(-1, 3)
     # The given spacing is half of the true spacing, so that the initial radii are too small.
     points = FramePoints.initial(wall, torch.full((len(wall),), 0.05), 1.0, explicit_sh=False)
-    holed = StaticBackground(background.model, points, background.plates)
+    holed = StaticBackground(background.model, points, background.plates, background.near)
     viewer = ring_cameras(8, 64)[0]
     optimizer = torch.optim.Adam(holed.model.parameters(), lr=0.01)
     values = []

@@ -23,7 +23,7 @@ PLATE = replace(SAMPLE, is_plate=True)
 
 def full_scene(capture: Path, folder: Path, config: TrainConfig) -> FullScene:
     run = create_run(capture, folder / "run", config)
-    scene = build_scene(config, run.new_model(), run.view_store(), run.background(None))
+    scene = build_scene(config, run.new_model(), run.view_store(), run.background(None), 0.01)
     assert isinstance(scene, FullScene)
     return scene
 
@@ -41,7 +41,7 @@ def test_windows_cover_the_picture() -> None:
 def test_an_object_is_its_matte_on_black(ball_capture: Path, tmp_path: Path) -> None:
     """Catches an object scene whose target or reference image shows pixels outside the object."""
     run = create_run(ball_capture, tmp_path / "run", SMALL)
-    scene = build_scene(SMALL, run.new_model(), run.view_store(), None)
+    scene = build_scene(SMALL, run.new_model(), run.view_store(), None, 0.01)
     assert isinstance(scene, ObjectScene)
     target = scene.target(SAMPLE)
     assert target.matte is not None

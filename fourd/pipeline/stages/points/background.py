@@ -4,6 +4,7 @@ background without the subject)."""
 from __future__ import annotations
 
 import glob
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -16,6 +17,8 @@ from fourd.background.plates import PlateView
 from fourd.background.radiance.config import RadianceConfig
 from fourd.background.radiance.from_radiance import seed_from_radiance
 from fourd.background.shell import build_shell, direction_coverage, viewing_centre
+from fourd.background.stereo.depth_maps import StereoResult, reconstruct_surfaces
+from fourd.cameras import Array, Camera
 from fourd.errors import UserError
 from fourd.formats.ply import ColouredPoints, read_ply, write_ply
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
@@ -24,8 +27,9 @@ from fourd.pipeline.stages.plates import MATTE_PATTERNS, PLATE_PATTERNS
 from fourd.progress import Log
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.config import TrainConfig
+from fourd.training.near_plane import choose_near, is_before_near, sample_hull, visible_depths, write_near
 from fourd.training.run import read_run_plates
-from fourd.training.run_layout import BACKGROUND, PLATES, POINTS
+from fourd.training.run_layout import BACKGROUND, HULL, NEAR, PLATES, POINTS
 
 
 @dataclass(frozen=True)
@@ -54,12 +58,13 @@ class BackgroundSettings:
     seeding: Literal["ngp", "sfm"]
     radiance: RadianceConfig
     seed: int
+    near: float | None = None
 
     @classmethod
     def of(cls, train: TrainConfig) -> BackgroundSettings:
         """Take the settings from a training config."""
         config = train.background
-        return cls(DataSelection.of(train), config.points, config.seeding, config.radiance, train.seed)
+        return cls(DataSelection.of(train), config.points, config.seeding, config.radiance, train.seed, train.near)
 
 
 def background_stage(
@@ -75,9 +80,9 @@ def background_stage(
         files,
         settings,
         inputs=tuple(inputs),
-        outputs=(files.run / BACKGROUND / POINTS,),
+        outputs=(files.run / BACKGROUND / POINTS, files.run / BACKGROUND / NEAR),
         leftovers=(Leftovers(files.run / BACKGROUND, keep=(PLATES, f"{PLATES}.json")),),
-        after=("adjust", "plates"),
+        after=("adjust", "plates", "carve", "points"),
     )
 
 
@@ -86,24 +91,36 @@ def run_background(files: BackgroundFiles, settings: BackgroundSettings, context
     target = files.run / BACKGROUND / POINTS
     if target.exists():
         return
-    if files.seeds is not None:
-        points = _read_seeds(files.seeds, settings.points, settings.seed)
-        write_ply(target, points.xyz, points.rgb)
-        return
     log = context.log
     with open_run_views(files.capture, settings.selection, files.run if files.adjusted else None) as views:
-        plates = read_run_plates(views.capture, views.training, files.run, log)
-        _log_unstable(find_changing_backgrounds(views.capture, views.training, plates), log)
-    points = _find_points(plates, settings, context)
-    cameras = [plate.camera for plate in plates]
+        every, numbers = views.capture.cameras, views.capture.frame_numbers
+        if files.seeds is None:
+            plates = read_run_plates(views.capture, views.training, files.run, log)
+            _log_unstable(find_changing_backgrounds(views.capture, views.training, plates), log)
+    static_depths: Sequence[Array] = ()
+    if files.seeds is not None:
+        points = _read_seeds(files.seeds, settings.points, settings.seed)
+        static_depths = [visible_depths(camera, points.xyz) for camera in every]
+    else:
+        stereo = reconstruct_surfaces(plates, settings.seed, context.workers, context.track)
+        points, static_depths = _find_points(plates, stereo, settings, context), stereo.feature_depths
+        points = _add_shell(points, [plate.camera for plate in plates], context)
+    near = settings.near or choose_near(every, sample_hull(files.run / HULL, numbers), static_depths)
+    hidden = is_before_near(points.xyz, every, near)
+    log(f"near plane: {near:.3g} world units; {int(hidden.sum())} background points nearer to a camera are left out")
+    write_near(files.run, near)
+    write_ply(target, points.xyz[~hidden], points.rgb[~hidden])
+
+
+def _add_shell(points: ColouredPoints, cameras: list[Camera], context: Context) -> ColouredPoints:
+    """Add the shell, which fills the directions that no plate shows."""
     shell = build_shell(points, cameras, viewing_centre(cameras), context.track)
     share = direction_coverage(points, viewing_centre(cameras), cameras)
-    log(
+    context.log(
         f"background: the plates cover {share:.0%} of all directions around the scene; "
         f"{len(shell.xyz)} points with extrapolated colours fill the rest"
     )
-    xyz, rgb = np.concatenate([points.xyz, shell.xyz]), np.concatenate([points.rgb, shell.rgb])
-    write_ply(target, xyz, rgb)
+    return ColouredPoints(np.concatenate([points.xyz, shell.xyz]), np.concatenate([points.rgb, shell.rgb]))
 
 
 def _log_unstable(shares: dict[str, float], log: Log) -> None:
@@ -121,14 +138,14 @@ def _log_unstable(shares: dict[str, float], log: Log) -> None:
     )
 
 
-def _find_points(plates: tuple[PlateView, ...], settings: BackgroundSettings, context: Context) -> ColouredPoints:
+def _find_points(
+    plates: tuple[PlateView, ...], stereo: StereoResult, settings: BackgroundSettings, context: Context
+) -> ColouredPoints:
     """Compute points on the surfaces that the plates show. The settings select the method."""
-    count, seed, workers = settings.points, settings.seed, context.workers
+    count, seed, log = settings.points, settings.seed, context.log
     if settings.seeding == "sfm":
-        return seed_from_stereo(plates, count, seed=seed, workers=workers, log=context.log, track=context.track)
-    return seed_from_radiance(
-        plates, count, settings.radiance, seed=seed, workers=workers, log=context.log, track=context.track
-    )
+        return seed_from_stereo(plates, stereo, count, seed=seed, log=log)
+    return seed_from_radiance(plates, stereo, count, settings.radiance, seed=seed, log=log, track=context.track)
 
 
 def _read_seeds(path: Path, count: int, seed: int) -> ColouredPoints:
