@@ -109,7 +109,9 @@ class TrainingOptions:
     refine_cameras: bool = False
     """Refine poses and focal lengths by bundle adjustment before carving, then by gradient descent during training."""
     refine_colours: bool = False
-    """Learn an affine colour correction for each camera."""
+    """Correct the colours of each camera. The default is to do so if matching points show that the cameras differ."""
+    keep_colours: bool = False
+    """Do not correct the colours of the cameras, even if they differ."""
     segment: Annotated[int | None, _config_option("segment", "INT", SEGMENT_HELP)] = None
     warm_start: bool = False
     """With --segment: start the networks of each segment from the trained networks of the previous segment."""
@@ -157,6 +159,10 @@ class TrainingOptions:
         for key, (name, value) in SWITCHES.items():
             if getattr(self, name):
                 config = _replace_key(config, key, {key.rpartition(".")[2]: value}, _flag(name))
+        if self.keep_colours:
+            if self.refine_colours:
+                raise UserError("--refine-colours, --keep-colours: expected one of them, got both; remove one")
+            config = _replace_key(config, "refine.colours", {"colours": False}, "--keep-colours")
         if self.warm_start and config.segments.frames is None:
             raise UserError("--warm-start: expected also --segment, got only --warm-start; add --segment FRAMES")
         return config

@@ -163,7 +163,7 @@ class DensifyConfig:
 
 @dataclass(frozen=True)
 class RefineConfig:
-    """Corrections of the training cameras' calibration. All corrections are off by default."""
+    """Corrections of the training cameras' calibration. Corrections of poses and focal lengths are off by default."""
 
     poses: bool = False
     """Refine camera poses by bundle adjustment before the visual hull is carved, and then by gradient descent while
@@ -171,8 +171,10 @@ class RefineConfig:
     focal: bool = False
     """Refine focal lengths by bundle adjustment before the visual hull is carved, and then by gradient descent while
     training."""
-    colours: bool = False
-    """Learn an affine correction of each camera's colours. The mean correction over all cameras is the identity."""
+    colours: bool | None = None
+    """Correct the colours of each camera by an affine map, which is measured at matching points before training and
+    then learnt. The mean correction over all cameras is the identity. If null, colours are corrected if matching points
+    show that the cameras differ."""
     rotation_deg: float = 0.5
     """Assumed standard deviation of a camera's rotation error, in degrees."""
     position: float = 0.003

@@ -30,6 +30,7 @@ from fourd.ops.gpu import CPU
 from fourd.ops.morton import morton_order
 from fourd.progress import Log
 from fourd.training.background import StaticBackground, create_background
+from fourd.training.cameras.measured_colours import read_measured_colours
 from fourd.training.cameras.refinement import Refinement
 from fourd.training.cameras.rig import Rig
 from fourd.training.cameras.selection import DataSelection, open_run_views
@@ -146,7 +147,9 @@ class Run:
         refine = self.config.train.refine
         if not (refine.cameras or refine.colours):
             return None
-        return Refinement(refine, self.capture.cameras, self.training, self.focus)
+        measured = read_measured_colours(self.folder)
+        colours = None if measured is None else measured.stacked(self.capture.names)
+        return Refinement(refine, self.capture.cameras, self.training, self.focus, colours)
 
     def contraction(self) -> Contraction:
         """Create the contraction that maps unbounded space into the volume of the background's K-Planes."""

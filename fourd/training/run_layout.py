@@ -22,6 +22,9 @@ PLATES = "plates"
 NEAR = "near.json"
 """File with the depth of the near plane, in the folder of the background."""
 CALIBRATION = "calibration"
+COLOURS = "colours"
+"""Folder with the colour differences between the cameras that were measured before training."""
+MEASURED = "measured.json"
 START = "start"
 """Subfolder of ``calibration/`` that contains the cameras with which training starts."""
 CHECKPOINTS = "checkpoints"
@@ -33,7 +36,7 @@ LIVE = "live"
 """Folder with the state of a training run and the last request to it; see :mod:`fourd.training.live`."""
 SEGMENTS = "segments"
 """Folder with one run per segment, named 000, 001 and so on. Runs without segments do not have this folder."""
-PREPARATION = (HULL, BACKGROUND, CALIBRATION, SOURCE)
+PREPARATION = (HULL, BACKGROUND, CALIBRATION, COLOURS, SOURCE)
 """Subfolders that are written before training. They can exist before ``config.yaml``, but only a folder with
 ``config.yaml`` is a run."""
 

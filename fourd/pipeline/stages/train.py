@@ -16,6 +16,7 @@ from fourd.files import resolved
 from fourd.formats.ply import read_ply
 from fourd.ops.gpu import choose_device, cuda_unavailable_reason
 from fourd.pipeline.stage import Context, Leftovers, Stage
+from fourd.training.cameras.measured_colours import corrects_colours, read_measured_colours
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.config import TrainConfig
 from fourd.training.distributed.process_group import ALONE, ProcessGroup
@@ -26,7 +27,7 @@ from fourd.training.points.spacing import mean_spacing
 from fourd.training.run import Run, RunConfig, SceneConfig, open_run
 from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, HULL, PREPARATION
 
-PREPARED_BY = ("adjust", "carve", "points", "background")
+PREPARED_BY = ("adjust", "colours", "carve", "points", "background")
 """Names of the stages whose results training reads."""
 
 
@@ -121,6 +122,8 @@ def start_run(capture_path: Path, folder: Path, train: TrainConfig) -> Run:
     selection = DataSelection.of(train)
     with open_run_views(capture_path, selection, folder if train.refine.cameras else None) as views:
         capture = views.capture
+    colours = corrects_colours(train.refine.colours, read_measured_colours(folder))
+    train = replace(train, refine=replace(train.refine, colours=colours))
     near = (
         train.near
         or read_near(folder)

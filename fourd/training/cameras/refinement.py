@@ -47,7 +47,12 @@ class Refinement(nn.Module):
     """
 
     def __init__(
-        self, config: RefineConfig, given: Sequence[Camera], training: Sequence[int], focus: NDArray[np.float64]
+        self,
+        config: RefineConfig,
+        given: Sequence[Camera],
+        training: Sequence[int],
+        focus: NDArray[np.float64],
+        colours: Tensor | None = None,
     ) -> None:
         """Create corrections that leave every camera unchanged.
 
@@ -56,6 +61,8 @@ class Refinement(nn.Module):
             given: all cameras of the capture, before correction.
             training: indices of the cameras that are corrected.
             focus: (3,) the scene's centre in world units.
+            colours: (V, 3, 4) measured colour maps of all cameras, to which the learnt corrections are added. If None,
+                the maps are the identity.
         """
         super().__init__()
         self.config = config
@@ -65,6 +72,7 @@ class Refinement(nn.Module):
         self.poses = nn.ParameterList(nn.Parameter(torch.zeros(6)) for _ in range(count if config.poses else 0))
         self.zooms = nn.ParameterList(nn.Parameter(torch.zeros(1)) for _ in range(count if config.focal else 0))
         self.tints = nn.ParameterList(nn.Parameter(torch.zeros(3, 4)) for _ in range(count if config.colours else 0))
+        self.colours = IDENTITY.repeat(len(given), 1, 1) if colours is None else colours
         self._given_poses = [
             _GivenPose(
                 torch.from_numpy(camera.rotation.copy()),
@@ -92,7 +100,7 @@ class Refinement(nn.Module):
             cameras[index] = self._corrected_camera(index)
         colours = None
         if self.config.colours:
-            colours = IDENTITY.repeat(len(cameras), 1, 1)
+            colours = self.colours.clone()
             for index in self.places:
                 colours[index] = self._colour_map(index)
         return Rig(tuple(cameras), colours)
@@ -153,10 +161,10 @@ class Refinement(nn.Module):
         return replace(cloud, xyz=xyz + (in_camera - in_camera.detach()) @ rotation.detach(), radius=radius)
 
     def _colour_map(self, index: int) -> Tensor:
-        """Compute a camera's affine colour map (3, 4). The mean map of all training cameras is kept at the identity,
-        because a colour change that all cameras share belongs to the scene."""
+        """Compute a camera's affine colour map (3, 4). The mean of the learnt corrections of all training cameras is
+        kept at zero, because a colour change that all cameras share belongs to the scene."""
         mean = torch.stack([tint.detach() for tint in self.tints]).mean(dim=0)
-        return IDENTITY + self.tints[self.places[index]] - mean
+        return self.colours[index] + self.tints[self.places[index]] - mean
 
 
 def _cross_product_matrix(vector: Tensor) -> Tensor:

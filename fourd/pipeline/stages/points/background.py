@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import glob
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -25,6 +25,7 @@ from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.plates import MATTE_PATTERNS, PLATE_PATTERNS
 from fourd.progress import Log
+from fourd.training.cameras.measured_colours import MeasuredColours, corrects_colours, read_measured_colours
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.config import TrainConfig
 from fourd.training.near_plane import choose_near, is_before_near, sample_hull, visible_depths, write_near
@@ -59,12 +60,21 @@ class BackgroundSettings:
     radiance: RadianceConfig
     seed: int
     near: float | None = None
+    colours: bool | None = None
 
     @classmethod
     def of(cls, train: TrainConfig) -> BackgroundSettings:
         """Take the settings from a training config."""
         config = train.background
-        return cls(DataSelection.of(train), config.points, config.seeding, config.radiance, train.seed, train.near)
+        return cls(
+            DataSelection.of(train),
+            config.points,
+            config.seeding,
+            config.radiance,
+            train.seed,
+            train.near,
+            train.refine.colours,
+        )
 
 
 def background_stage(
@@ -82,7 +92,7 @@ def background_stage(
         inputs=tuple(inputs),
         outputs=(files.run / BACKGROUND / POINTS, files.run / BACKGROUND / NEAR),
         leftovers=(Leftovers(files.run / BACKGROUND, keep=(PLATES, f"{PLATES}.json")),),
-        after=("adjust", "plates", "carve", "points"),
+        after=("adjust", "colours", "plates", "carve", "points"),
     )
 
 
@@ -96,6 +106,9 @@ def run_background(files: BackgroundFiles, settings: BackgroundSettings, context
         every, numbers = views.capture.cameras, views.capture.frame_numbers
         if files.seeds is None:
             plates = read_run_plates(views.capture, views.training, files.run, log)
+            measured = read_measured_colours(files.run)
+            if measured is not None and corrects_colours(settings.colours, measured):
+                plates = tuple(_to_scene_colours(measured, plate) for plate in plates)
             _log_unstable(find_changing_backgrounds(views.capture, views.training, plates), log)
     static_depths: Sequence[Array] = ()
     if files.seeds is not None:
@@ -121,6 +134,13 @@ def _add_shell(points: ColouredPoints, cameras: list[Camera], context: Context) 
         f"{len(shell.xyz)} points with extrapolated colours fill the rest"
     )
     return ColouredPoints(np.concatenate([points.xyz, shell.xyz]), np.concatenate([points.rgb, shell.rgb]))
+
+
+def _to_scene_colours(measured: MeasuredColours, plate: PlateView) -> PlateView:
+    """Correct the colours of a plate, so that the plates of all cameras agree."""
+    colours = measured.maps[plate.name]
+    rgb = (plate.rgb / 255.0 - colours[:, 3]) @ np.linalg.inv(colours[:, :3]).T
+    return replace(plate, rgb=(rgb.clip(0, 1) * 255 + 0.5).astype(np.uint8))
 
 
 def _log_unstable(shares: dict[str, float], log: Log) -> None:
