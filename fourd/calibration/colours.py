@@ -30,9 +30,9 @@ OFFSET_PRIOR = 2.0
 ITERATIONS = 8
 FOLDS = 5
 MIN_MATCHES = 60
-MIN_DIFFERENCE = 2 / 255
-"""Cameras differ if matching points differ by at least this much, and if the correction removes at least MIN_REDUCTION
-of it at matches that were not used for the correction."""
+MIN_DIFFERENCE_LEVELS = 2.0
+"""Cameras differ if matching points differ by at least this many of 255 levels, and if the correction removes at least
+MIN_REDUCTION of it at matches that were not used for the correction."""
 MIN_REDUCTION = 0.2
 
 
@@ -78,7 +78,7 @@ class ColourDifferences:
     @property
     def differ(self) -> bool:
         """Whether the matches show that the cameras differ."""
-        is_large = self.before >= MIN_DIFFERENCE and self.after <= (1 - MIN_REDUCTION) * self.before
+        is_large = 255 * self.before >= MIN_DIFFERENCE_LEVELS and self.after <= (1 - MIN_REDUCTION) * self.before
         return self.matches >= MIN_MATCHES and is_large
 
     def __str__(self) -> str:

@@ -245,8 +245,8 @@ def test_a_held_out_camera_is_aligned(ball_capture: Path, tmp_path: Path) -> Non
 
 
 def test_refinement_is_off_by_default() -> None:
-    """Catches a default config that changes the cameras."""
-    assert [OFF.cameras, OFF.colours] == [False, False]
+    """Catches a default config that changes the cameras, or that corrects colours without a measurement."""
+    assert [OFF.cameras, OFF.colours] == [False, None]
     assert TrainConfig().refine == OFF
     with pytest.raises(ValueError, match="rotation_deg: expected more than 0, got 0"):
         RefineConfig(rotation_deg=0)
