@@ -82,7 +82,7 @@ def build_shell(
     # Shell points that are closer to the centre than the median camera are dropped. The cameras see this part of the
     # scene, so a gap in it only means that the known points are sparse there.
     reach = float(np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]))
-    kept = (inverse * reach < 1) & ~_occludes(xyz, points.xyz.astype(np.float64), cameras)
+    kept = (inverse * reach < 1) & ~occludes(xyz, points.xyz.astype(np.float64), cameras)
     colours = np.clip(np.rint(rgb[kept]), 0, 255).astype(np.uint8)
     return ColouredPoints(xyz[kept].astype(np.float32), colours)
 
@@ -206,7 +206,7 @@ def _dilate_rows(sphere: DirectionGrid, known: Bools) -> Bools:
     return wide
 
 
-def _occludes(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> Bools:
+def occludes(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> Bools:
     """Return a mask (N,) of the points ``xyz`` that occlude at least one of the known points ``seen`` (M, 3) in at
     least one camera."""
     hides = np.zeros(len(xyz), np.bool_)

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from fourd.background.from_stereo import seed_from_stereo
+from fourd.background.holes import fill_holes, measure_coverage
 from fourd.background.plate_changes import find_changing_backgrounds
 from fourd.background.plates import PlateView
 from fourd.background.radiance.config import RadianceConfig
@@ -31,6 +32,9 @@ from fourd.training.config import TrainConfig
 from fourd.training.near_plane import choose_near, is_before_near, sample_hull, visible_depths, write_near
 from fourd.training.run import read_run_plates
 from fourd.training.run_layout import BACKGROUND, HULL, NEAR, PLATES, POINTS
+
+FULL_COVERAGE = 0.995
+"""Holes are filled if the points cover a smaller fraction of a plate than this."""
 
 
 @dataclass(frozen=True)
@@ -121,8 +125,32 @@ def run_background(files: BackgroundFiles, settings: BackgroundSettings, context
     near = settings.near or choose_near(every, sample_hull(files.run / HULL, numbers), static_depths)
     hidden = is_before_near(points.xyz, every, near)
     log(f"near plane: {near:.3g} world units; {int(hidden.sum())} background points nearer to a camera are left out")
+    points = ColouredPoints(points.xyz[~hidden], points.rgb[~hidden])
+    if files.seeds is None:
+        points = _fill_holes(points, plates, every, near, context)
     write_near(files.run, near)
-    write_ply(target, points.xyz[~hidden], points.rgb[~hidden])
+    write_ply(target, points.xyz, points.rgb)
+
+
+def _fill_holes(
+    points: ColouredPoints, plates: Sequence[PlateView], every: Sequence[Camera], near: float, context: Context
+) -> ColouredPoints:
+    """Add points where a plate shows a surface, but no point is rendered."""
+    before = measure_coverage(points, plates, near)
+    if before.least >= FULL_COVERAGE:
+        context.log(f"background: the points cover {before}")
+        return points
+    added = fill_holes(points, plates, near, context.track)
+    kept = ~is_before_near(added.xyz, every, near)
+    filled = ColouredPoints(
+        np.concatenate([points.xyz, added.xyz[kept]]), np.concatenate([points.rgb, added.rgb[kept]])
+    )
+    after = measure_coverage(filled, plates, near)
+    context.log(
+        f"background: the points cover {before}; "
+        f"with {int(kept.sum())} points that fill holes from their borders, {after}"
+    )
+    return filled
 
 
 def _add_shell(points: ColouredPoints, cameras: list[Camera], context: Context) -> ColouredPoints:
