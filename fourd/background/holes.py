@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from fourd.background.plates import PlateView
 from fourd.background.shell import occludes
@@ -31,7 +32,7 @@ GAP_PX = 3
 """Gaps between neighbouring discs that are at most this wide are no holes, because training closes them by larger
 discs."""
 STRIDE_PX = 2
-INPAINT_PX = 5.0
+SMOOTHING_PX = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +70,7 @@ def fill_holes(
 ) -> ColouredPoints:
     """Create points that fill the holes of all plates. Returns only the new points.
 
-    The inverse depth in a hole is continued from the hole's border (Telea 2004). The colours are those of the plate.
+    The inverse depth in a hole is that of the nearest rendered pixel, smoothed. The colours are those of the plate.
     New points that would occlude other points in a plate are dropped.
     """
     radius = _radii(points)
@@ -79,9 +80,7 @@ def fill_holes(
         hole, inverse = _find_holes(points, radius, camera, seen, near)
         if not hole.any() or not (inverse > 0).any():
             continue
-        scale = float(inverse.max())
-        unknown = (hole | (inverse <= 0)).astype(np.uint8)
-        whole = scale * cv2.inpaint((inverse / scale).astype(np.float32), unknown, INPAINT_PX, cv2.INPAINT_TELEA)
+        whole = _continue(inverse)
         is_chosen = np.add.outer(np.arange(hole.shape[0]), np.arange(hole.shape[1])) % STRIDE_PX == 0
         rows, columns = np.nonzero(hole & is_chosen & (whole > 0))
         xyz.append(camera.unproject(np.column_stack([columns, rows]) + 0.5, 1 / whole[rows, columns].astype(float)))
@@ -91,6 +90,14 @@ def fill_holes(
         return ColouredPoints(found.astype(np.float32), chosen)
     kept = ~occludes(found, points.xyz.astype(np.float64), [plate.camera for plate in plates])
     return ColouredPoints(found[kept].astype(np.float32), chosen[kept])
+
+
+def _continue(inverse: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Continue inverse depths (H, W) into the pixels at which they are 0."""
+    unknown = inverse <= 0
+    row, column = distance_transform_edt(unknown, return_distances=False, return_indices=True)
+    nearest = inverse[row, column]
+    return np.asarray(np.where(unknown, cv2.GaussianBlur(nearest, (0, 0), SMOOTHING_PX), nearest), np.float32)
 
 
 def _reduce(plate: PlateView) -> tuple[Camera, NDArray[np.uint8], NDArray[np.bool_]]:
