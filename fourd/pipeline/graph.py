@@ -15,9 +15,9 @@ from fourd.matting.sequence import MatteSettings, chosen_method
 from fourd.pipeline.capture_graph import has_masks, lacks_masks, stages_to_hull_mattes, stages_to_mattes
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.segments import divide_stage, segment_stages
-from fourd.pipeline.stages.adjust import AdjustSettings, adjust_stage
 from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
-from fourd.pipeline.stages.colours import colours_stage
+from fourd.pipeline.stages.cameras.adjust import AdjustSettings, adjust_stage
+from fourd.pipeline.stages.cameras.colours import colours_stage
 from fourd.pipeline.stages.mattes import MatteStageSettings
 from fourd.pipeline.stages.plates import run_plates_stage
 from fourd.pipeline.stages.points.background import BackgroundFiles, BackgroundSettings, background_stage

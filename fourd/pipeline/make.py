@@ -21,8 +21,8 @@ from fourd.pipeline.graph import RunRequest, stages_to_first_points, stages_to_s
 from fourd.pipeline.plan import describe_plan
 from fourd.pipeline.runner import Execute, Runner, run_here
 from fourd.pipeline.stage import Context
+from fourd.pipeline.stages.cameras.repair import repair_stage, repaired_capture
 from fourd.pipeline.stages.check import check_stage
-from fourd.pipeline.stages.repair import repair_stage, repaired_capture
 from fourd.pipeline.stages.still import still_stage
 from fourd.pipeline.stages.summary import RunSummary, summarize_run
 from fourd.pipeline.stages.train import start_run

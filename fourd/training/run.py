@@ -23,7 +23,7 @@ from fourd.capture import Capture
 from fourd.configs import load_overlay
 from fourd.errors import UserError, command_line
 from fourd.files import remove_unfinished
-from fourd.formats.ply import read_ply
+from fourd.formats.ply import ColouredPoints, read_ply
 from fourd.model import PointModel
 from fourd.model.shadow import ShadowField
 from fourd.ops.gpu import CPU
@@ -39,6 +39,7 @@ from fourd.training.config import HeldOutConfig, TrainConfig
 from fourd.training.evaluation.render import ModelRenderer, RenderedView
 from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.frame_store import FrameStore, load_points
+from fourd.training.points.near_plane import is_before_near
 from fourd.training.points.scratch import Scratch
 from fourd.training.run_layout import (
     BACKGROUND,
@@ -77,7 +78,7 @@ class SceneConfig:
     """Distance from the centre of the bounds to the farthest camera. Up to this distance from the centre, the
     contraction of space for the background's K-Planes causes no distortion."""
     near: float = 0.01
-    """Depth of the near plane. Nothing nearer to a camera than this is shown (see :mod:`fourd.training.near_plane`)."""
+    """Depth of the near plane (see :mod:`fourd.training.points.near_plane`)."""
 
 
 @dataclass(frozen=True)
@@ -164,10 +165,12 @@ class Run:
         """
         if self.config.train.scene != "full":
             return None
-        initial = read_ply(self.folder / BACKGROUND / POINTS)
+        initial, near = read_ply(self.folder / BACKGROUND / POINTS), self.config.scene.near
+        kept = ~is_before_near(initial.xyz, self.capture.cameras, near)
+        initial = ColouredPoints(initial.xyz[kept], initial.rgb[kept])
         plates = dict(zip(self.training, read_run_plates(self.capture, self.training, self.folder), strict=True))
         torch.manual_seed(self.config.train.seed + 1)
-        background = create_background(initial, plates, self.config.train, self.contraction(), self.config.scene.near)
+        background = create_background(initial, plates, self.config.train, self.contraction(), near)
         if self.config.train.background.shadow:
             scene = self.config.scene
             background.model.shadow = ShadowField(np.asarray(scene.lower), np.asarray(scene.upper), scene.frame_count)

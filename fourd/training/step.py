@@ -16,9 +16,9 @@ from fourd.training.config import TrainConfig
 from fourd.training.distributed.process_group import ALONE, ProcessGroup
 from fourd.training.losses.lpips import LPIPS
 from fourd.training.losses.term import RenderedStep, weighted_values
-from fourd.training.near_plane import revert_moves_before_near
 from fourd.training.points.densification import accumulate_gradient_magnitudes
 from fourd.training.points.frame_points import FramePoints
+from fourd.training.points.near_plane import revert_moves_before_near
 from fourd.training.points.selective_adam import BETAS, EPSILON
 from fourd.training.points.silhouette import revert_moves_out_of_silhouettes
 from fourd.training.points.smoothing import smooth_surface

@@ -10,7 +10,7 @@ import pytest
 from fourd.capture import write_calibration
 from fourd.formats.picture import write_picture
 from fourd.pipeline.stage import Context
-from fourd.pipeline.stages.colours import ColourFiles, run_colours
+from fourd.pipeline.stages.cameras.colours import ColourFiles, run_colours
 from fourd.training.cameras.measured_colours import read_measured_colours
 from fourd.training.cameras.selection import DataSelection
 from tests.calibration.rooms import Room, room_cameras

@@ -72,7 +72,7 @@ def test_every_stage_of_the_graph_pickles(ball_capture: Path, tmp_path: Path) ->
         assert pickle.loads(pickle.dumps(stages)) == stages
         assert len({stage.name for stage in stages}) == len(stages)
     assert [stage.name for stage in stages] == [
-        "mattes", "plates", "adjust", "carve", "background", "train", "bake",
+        "mattes", "plates", "colours", "adjust", "carve", "background", "train", "bake",
     ]  # fmt: skip
 
 
@@ -82,7 +82,7 @@ def test_a_stage_gives_the_same_result_in_another_process(ball_capture: Path, tm
     Runner(Context()).run([carve_stage(ball_capture, tmp_path / "here", settings)])
     Runner(Context(), execute=run_in_process).run([carve_stage(ball_capture, tmp_path / "there", settings)])
     assert contents(tmp_path / "here") == contents(tmp_path / "there")
-    assert len(contents(tmp_path / "here")) == 4
+    assert len(contents(tmp_path / "here")) == 5
 
 
 def test_a_key_depends_on_settings_files_and_earlier_stages(tmp_path: Path) -> None:

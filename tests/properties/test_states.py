@@ -19,8 +19,8 @@ from fourd.capture import frame_rate, video_list
 from fourd.carving.sequence import BOUNDS_NAME, read_bounds
 from fourd.errors import UserError
 from fourd.importing.record import RECORD, check_unpacked, read_record, write_record
+from fourd.pipeline.stages.cameras.repair import RESULT, repaired_capture
 from fourd.pipeline.stages.mesh import SCORES_NAME, read_scores
-from fourd.pipeline.stages.repair import RESULT, repaired_capture
 from fourd.training.checkpoints import SavedProgress, load_checkpoint, save_checkpoint, verify_checkpoint
 from fourd.viewer.navigation.recorded_path import load_recorded_path
 from tests.properties.effort import EFFORTS

@@ -11,7 +11,7 @@ from rich.console import Console
 from fourd.formats.ply import write_ply
 from fourd.model.config import ModelConfig, PlanesConfig
 from fourd.pipeline.make import create_run
-from fourd.training.config import BackgroundConfig, DensifyConfig, TrainConfig
+from fourd.training.config import BackgroundConfig, DensifyConfig, RefineConfig, TrainConfig
 from fourd.training.loop import Trainer, TrainSummary
 from fourd.training.run import Run
 from tests.captures import sphere
@@ -25,6 +25,7 @@ SMALL = TrainConfig(
     max_steps=6,
     checkpoint_steps=3,
     encoder_every=2,
+    refine=RefineConfig(colours=False),
 )
 
 

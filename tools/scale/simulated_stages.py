@@ -25,8 +25,8 @@ from fourd.pipeline.capture_graph import stages_to_capture
 from fourd.pipeline.graph import RunRequest, stages_to_scene
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Stage
+from fourd.pipeline.stages.cameras.repair import repair_stage
 from fourd.pipeline.stages.check import check_stage
-from fourd.pipeline.stages.repair import repair_stage
 from fourd.processes import locked_folder
 from fourd.training.config import SegmentConfig, TrainConfig
 from tests.captures import ring_cameras

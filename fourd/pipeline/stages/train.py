@@ -22,7 +22,7 @@ from fourd.training.config import TrainConfig
 from fourd.training.distributed.process_group import ALONE, ProcessGroup
 from fourd.training.loop import Trainer
 from fourd.training.losses.lpips import load_lpips
-from fourd.training.near_plane import choose_near, read_near, sample_hull
+from fourd.training.points.near_plane import choose_near, read_static_near, sample_hull
 from fourd.training.points.spacing import mean_spacing
 from fourd.training.run import Run, RunConfig, SceneConfig, open_run
 from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, HULL, PREPARATION
@@ -124,11 +124,8 @@ def start_run(capture_path: Path, folder: Path, train: TrainConfig) -> Run:
         capture = views.capture
     colours = corrects_colours(train.refine.colours, read_measured_colours(folder))
     train = replace(train, refine=replace(train.refine, colours=colours))
-    near = (
-        train.near
-        or read_near(folder)
-        or choose_near(capture.cameras, sample_hull(folder / HULL, capture.frame_numbers))
-    )
+    hulls = sample_hull(folder / HULL, capture.frame_numbers)
+    near = train.near or choose_near(capture.cameras, hulls, read_static_near(folder))
     bounds = read_bounds(folder / HULL)
     first = read_ply(folder / HULL / f"{capture.frame_numbers[0]:06d}.ply").xyz
     lower, upper = ((float(x), float(y), float(z)) for x, y, z in (bounds.lower, bounds.upper))

@@ -19,9 +19,9 @@ from fourd.training.losses.lpips import LPIPS
 from fourd.training.losses.term import LossTerm
 from fourd.training.losses.terms import full_scene_terms
 from fourd.training.memory import FULL_RESIDENT_BYTES
-from fourd.training.near_plane import is_before_near
 from fourd.training.points.densification import densify, unobserved_points
 from fourd.training.points.frame_points import FramePoints
+from fourd.training.points.near_plane import is_before_near
 from fourd.training.rendering import RenderablePoints, visible_points
 from fourd.training.scenes.object_scene import ObjectScene
 from fourd.training.scenes.scene import OptimizedPoints, Target

@@ -19,7 +19,7 @@ from fourd.background.radiance.config import RadianceConfig
 from fourd.background.radiance.from_radiance import seed_from_radiance
 from fourd.background.shell import build_shell, direction_coverage, viewing_centre
 from fourd.background.stereo.depth_maps import StereoResult, reconstruct_surfaces
-from fourd.cameras import Array, Camera
+from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.formats.ply import ColouredPoints, read_ply, write_ply
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
@@ -29,9 +29,9 @@ from fourd.progress import Log
 from fourd.training.cameras.measured_colours import MeasuredColours, corrects_colours, read_measured_colours
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.config import TrainConfig
-from fourd.training.near_plane import choose_near, is_before_near, sample_hull, visible_depths, write_near
+from fourd.training.points.near_plane import fallback_near, feature_near, visible_depths, write_static_near
 from fourd.training.run import read_run_plates
-from fourd.training.run_layout import BACKGROUND, HULL, NEAR, PLATES, POINTS
+from fourd.training.run_layout import BACKGROUND, NEAR, PLATES, POINTS
 
 FULL_COVERAGE = 0.995
 """Holes are filled if the points cover a smaller fraction of a plate than this."""
@@ -63,7 +63,6 @@ class BackgroundSettings:
     seeding: Literal["ngp", "sfm"]
     radiance: RadianceConfig
     seed: int
-    near: float | None = None
     colours: bool | None = None
 
     @classmethod
@@ -76,7 +75,6 @@ class BackgroundSettings:
             config.seeding,
             config.radiance,
             train.seed,
-            train.near,
             train.refine.colours,
         )
 
@@ -96,7 +94,7 @@ def background_stage(
         inputs=tuple(inputs),
         outputs=(files.run / BACKGROUND / POINTS, files.run / BACKGROUND / NEAR),
         leftovers=(Leftovers(files.run / BACKGROUND, keep=(PLATES, f"{PLATES}.json")),),
-        after=("adjust", "colours", "plates", "carve", "points"),
+        after=("adjust", "colours", "plates"),
     )
 
 
@@ -107,48 +105,38 @@ def run_background(files: BackgroundFiles, settings: BackgroundSettings, context
         return
     log = context.log
     with open_run_views(files.capture, settings.selection, files.run if files.adjusted else None) as views:
-        every, numbers = views.capture.cameras, views.capture.frame_numbers
+        cameras = views.capture.cameras
         if files.seeds is None:
             plates = read_run_plates(views.capture, views.training, files.run, log)
+            _log_unstable(find_changing_backgrounds(views.capture, views.training, plates), log)
             measured = read_measured_colours(files.run)
             if measured is not None and corrects_colours(settings.colours, measured):
                 plates = tuple(_to_scene_colours(measured, plate) for plate in plates)
-            _log_unstable(find_changing_backgrounds(views.capture, views.training, plates), log)
-    static_depths: Sequence[Array] = ()
     if files.seeds is not None:
         points = _read_seeds(files.seeds, settings.points, settings.seed)
-        static_depths = [visible_depths(camera, points.xyz) for camera in every]
+        near = feature_near(visible_depths(camera, points.xyz) for camera in cameras)
     else:
         stereo = reconstruct_surfaces(plates, settings.seed, context.workers, context.track)
-        points, static_depths = _find_points(plates, stereo, settings, context), stereo.feature_depths
+        near = feature_near(stereo.feature_depths)
+        points = _find_points(plates, stereo, settings, context)
         points = _add_shell(points, [plate.camera for plate in plates], context)
-    near = settings.near or choose_near(every, sample_hull(files.run / HULL, numbers), static_depths)
-    hidden = is_before_near(points.xyz, every, near)
-    log(f"near plane: {near:.3g} world units; {int(hidden.sum())} background points nearer to a camera are left out")
-    points = ColouredPoints(points.xyz[~hidden], points.rgb[~hidden])
-    if files.seeds is None:
-        points = _fill_holes(points, plates, every, near, context)
-    write_near(files.run, near)
+        points = _fill_holes(points, plates, near or fallback_near(cameras), context)
+    write_static_near(files.run, near)
     write_ply(target, points.xyz, points.rgb)
 
 
-def _fill_holes(
-    points: ColouredPoints, plates: Sequence[PlateView], every: Sequence[Camera], near: float, context: Context
-) -> ColouredPoints:
+def _fill_holes(points: ColouredPoints, plates: Sequence[PlateView], near: float, context: Context) -> ColouredPoints:
     """Add points where a plate shows a surface, but no point is rendered."""
     before = measure_coverage(points, plates, near)
     if before.least >= FULL_COVERAGE:
         context.log(f"background: the points cover {before}")
         return points
     added = fill_holes(points, plates, near, context.track)
-    kept = ~is_before_near(added.xyz, every, near)
-    filled = ColouredPoints(
-        np.concatenate([points.xyz, added.xyz[kept]]), np.concatenate([points.rgb, added.rgb[kept]])
-    )
+    filled = ColouredPoints(np.concatenate([points.xyz, added.xyz]), np.concatenate([points.rgb, added.rgb]))
     after = measure_coverage(filled, plates, near)
     context.log(
         f"background: the points cover {before}; "
-        f"with {int(kept.sum())} points that fill holes from their borders, {after}"
+        f"with {len(added.xyz)} points that fill holes from their borders, {after}"
     )
     return filled
 

@@ -47,19 +47,22 @@ SAMPLED_POINTS = 8192
 def choose_near(
     cameras: Sequence[Camera],
     clouds: Iterable[NDArray[np.floating[Any]]],
-    static_depths: Iterable[NDArray[np.floating[Any]]] = (),
+    static_near: float | None = None,
 ) -> float:
     """Choose the depth of the near plane in world units.
 
     It is half the depth of the nearest surface that a camera sees: of the subject, whose points (N, 3) in some frames
-    are ``clouds``, or of the static surfaces, for which ``static_depths`` contains camera depths (N,) per camera. It is
-    at most a third of the depth of the subject. If no camera sees a point of the subject, ``static_depths`` alone
-    decides, and without these, the near plane is at FALLBACK_SHARE of the median distance of the cameras from the point
-    that they face.
+    are ``clouds``, or of the static surfaces, for which ``static_near`` is the result of :func:`feature_near`. It is at
+    most a third of the depth of the subject. If no camera sees a point of the subject, ``static_near`` alone decides,
+    and without it, the near plane is at FALLBACK_SHARE of the median distance of the cameras from the point that they
+    face.
     """
-    found = [near for near in (subject_near(cameras, clouds), feature_near(static_depths)) if near is not None]
-    if found:
-        return min(found)
+    found = [near for near in (subject_near(cameras, clouds), static_near) if near is not None]
+    return min(found) if found else fallback_near(cameras)
+
+
+def fallback_near(cameras: Sequence[Camera]) -> float:
+    """Return the near plane of a capture of which no surface is known."""
     focus = viewing_centre(cameras)
     return FALLBACK_SHARE * float(np.median([np.linalg.norm(camera.centre - focus) for camera in cameras]))
 
@@ -132,18 +135,18 @@ def revert_moves_before_near(points: FramePoints, rows: Tensor, before: Tensor, 
     points.parameters["xyz"][rows] = torch.where((depth < near)[:, None], before, moved)
 
 
-def write_near(run: Path, near: float) -> None:
-    """Store the near plane beside the background's points of a run."""
+def write_static_near(run: Path, near: float | None) -> None:
+    """Store the result of :func:`feature_near` beside the background's points of a run."""
     write_text_atomically(run / BACKGROUND / NEAR, json.dumps({"near": near}) + "\n")
 
 
-def read_near(run: Path) -> float | None:
-    """Read the near plane from the folder of a run. Returns None if the run has no background."""
+def read_static_near(run: Path) -> float | None:
+    """Read what :func:`write_static_near` stored in the folder of a run. Returns None if the run has no background."""
     path = run / BACKGROUND / NEAR
     if not path.exists():
         return None
     state = read_json(path)
-    near = state.get("near") if isinstance(state, dict) else None
-    if not isinstance(near, float) or not near > 0 or not np.isfinite(near):
-        raise UserError(f'{path}: expected {{"near": depth}} with a depth above 0, got {near!r}; delete the folder')
+    near = state.get("near", "nothing") if isinstance(state, dict) else "nothing"
+    if near is not None and not (isinstance(near, float) and 0 < near < float("inf")):
+        raise UserError(f'{path}: expected {{"near": depth}} with a depth above 0, got {near}; delete the folder')
     return near

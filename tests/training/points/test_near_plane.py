@@ -10,15 +10,16 @@ import torch
 
 from fourd.cameras import Camera, look_at
 from fourd.errors import UserError
-from fourd.training.near_plane import (
+from fourd.training.points.frame_points import FramePoints
+from fourd.training.points.near_plane import (
     FALLBACK_SHARE,
     choose_near,
+    feature_near,
     is_before_near,
-    read_near,
+    read_static_near,
     revert_moves_before_near,
-    write_near,
+    write_static_near,
 )
-from fourd.training.points.frame_points import FramePoints
 
 INTRINSICS = np.array([[100.0, 0, 50], [0, 100, 50], [0, 0, 1]])
 
@@ -46,7 +47,7 @@ def test_bodies_of_cameras_do_not_count() -> None:
     """Catches a near plane in front of a camera's own body: other cameras see it, but it is not part of the subject."""
     cameras = dome_cameras()
     features = [np.full(100, 2.0) for _ in cameras]
-    assert choose_near(cameras, [ball((0, 0, 0))], features) == pytest.approx(2.6 / 3, rel=0.02)
+    assert choose_near(cameras, [ball((0, 0, 0))], feature_near(features)) == pytest.approx(2.6 / 3, rel=0.02)
 
 
 def test_near_static_surfaces_are_kept() -> None:
@@ -54,9 +55,9 @@ def test_near_static_surfaces_are_kept() -> None:
     cameras = dome_cameras()
     depths = [np.full(100, 2.0) for _ in cameras]
     depths[3] = np.concatenate([np.full(10, 0.5), depths[3]])
-    assert choose_near(cameras, [ball((0, 0, 0))], depths) == pytest.approx(0.25)
+    assert choose_near(cameras, [ball((0, 0, 0))], feature_near(depths)) == pytest.approx(0.25)
     depths[3] = np.full(10, 0.5)
-    assert choose_near(cameras, [ball((0, 0, 0))], depths) > 0.8, "a few features can be wrong matches"
+    assert choose_near(cameras, [ball((0, 0, 0))], feature_near(depths)) > 0.8, "a few features can be wrong matches"
 
 
 def test_without_any_surface() -> None:
@@ -91,9 +92,11 @@ def test_moves_before_the_near_plane_are_undone() -> None:
 
 def test_the_stored_near_plane(tmp_path: Path) -> None:
     """Catches a damaged file that is used in silence."""
-    assert read_near(tmp_path) is None
-    write_near(tmp_path, 0.25)
-    assert read_near(tmp_path) == 0.25
+    assert read_static_near(tmp_path) is None
+    write_static_near(tmp_path, 0.25)
+    assert read_static_near(tmp_path) == 0.25
+    write_static_near(tmp_path, None)
+    assert read_static_near(tmp_path) is None
     (tmp_path / "background" / "near.json").write_text('{"near": -1.0}')
     with pytest.raises(UserError, match=r"near.json: expected .* above 0, got -1.0"):
-        read_near(tmp_path)
+        read_static_near(tmp_path)

@@ -1,0 +1,1 @@
+"""Stages that correct the calibration and the colours of cameras."""
