@@ -24,7 +24,7 @@ from fourd.formats.ply import write_ply
 from fourd.pipeline.stage import Artefact, Context, Leftovers, NoSettings, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.training.cameras.selection import DataSelection, open_run_views
-from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL
+from fourd.training.run_layout import BACKGROUND, CALIBRATION, COLOURS, HULL
 
 DONE = "still.json"
 BOUNDS_SHARE = 0.25
@@ -83,7 +83,7 @@ def no_points_stage(capture: Path, run: Path, selection: DataSelection) -> Stage
         NoPointFiles(capture, run),
         selection,
         outputs=(run / HULL / BOUNDS_NAME,),
-        leftovers=(Leftovers(run, keep=(BACKGROUND, CALIBRATION)),),
+        leftovers=(Leftovers(run, keep=(BACKGROUND, CALIBRATION, COLOURS)),),
         after=("adjust",),
     )
 

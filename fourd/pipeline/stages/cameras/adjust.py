@@ -20,7 +20,7 @@ from fourd.training.cameras.calibration import write_corrected
 from fourd.training.cameras.rig import Rig
 from fourd.training.cameras.selection import DataSelection, RunViews, open_run_views
 from fourd.training.config import RefineConfig
-from fourd.training.run_layout import CALIBRATION, START
+from fourd.training.run_layout import CALIBRATION, COLOURS, START
 
 TILT = 12
 """Index of the first sensor-tilt coefficient among OpenCV's 14 distortion coefficients."""
@@ -70,7 +70,7 @@ def adjust_stage(capture: Path, run: Path, settings: AdjustSettings) -> Stage[Ad
         settings,
         inputs=(Artefact(capture, INPUT_PATTERNS + MATTE_PATTERNS),),
         outputs=(run / CALIBRATION / START,),
-        leftovers=(Leftovers(run),),
+        leftovers=(Leftovers(run, keep=(COLOURS,)),),
     )
 
 

@@ -14,7 +14,7 @@ from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.plates import MATTE_PATTERNS
 from fourd.training.cameras.selection import DECODED_MB, DataSelection, open_run_views
-from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL, HULL_QUALITY
+from fourd.training.run_layout import BACKGROUND, CALIBRATION, COLOURS, HULL, HULL_QUALITY
 
 MIN_CAMERAS = 2
 SUSPICIOUS_SHARE = 0.85
@@ -88,7 +88,7 @@ def carve_run_stage(
         settings,
         inputs=(Artefact(capture, INPUT_PATTERNS + MATTE_PATTERNS),),
         outputs=(run / HULL,),
-        leftovers=(Leftovers(run, keep=(BACKGROUND, CALIBRATION) if adjusted else (BACKGROUND,)),),
+        leftovers=(Leftovers(run, keep=(BACKGROUND, COLOURS, *((CALIBRATION,) if adjusted else ()))),),
         after=("adjust",),
     )
 

@@ -15,7 +15,7 @@ from fourd.files import write_text_atomically
 from fourd.formats.ply import read_ply, write_ply
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.training.cameras.selection import DataSelection, open_run_views
-from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL
+from fourd.training.run_layout import BACKGROUND, CALIBRATION, COLOURS, HULL
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def given_points_stage(
         settings,
         inputs=(Artefact(source, ("*.ply",)),),
         outputs=(run / HULL / BOUNDS_NAME,),
-        leftovers=(Leftovers(run, keep=(BACKGROUND, CALIBRATION)),),
+        leftovers=(Leftovers(run, keep=(BACKGROUND, CALIBRATION, COLOURS)),),
         after=("adjust",),
     )
 
