@@ -81,6 +81,14 @@ class ColourDifferences:
         is_large = 255 * self.before >= MIN_DIFFERENCE_LEVELS and self.after <= (1 - MIN_REDUCTION) * self.before
         return self.matches >= MIN_MATCHES and is_large
 
+    def describe(self) -> str:
+        """Say in one line whether the cameras differ, and what a run does."""
+        if self.matches < MIN_MATCHES:
+            return f"not compared: {self.matches} matching points are too few"
+        if self.differ:
+            return f"the cameras differ by {self}; a run corrects this (--keep-colours: it does not)"
+        return f"{255 * self.before:.1f} of 255 levels between {self.matches} matching points; no correction is needed"
+
     def __str__(self) -> str:
         before, after = (f"{255 * value:.1f}" for value in (self.before, self.after))
         return f"{before} of 255 levels between {self.matches} matching points, {after} after a gain per camera"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -92,3 +94,17 @@ def test_colours_are_sampled_at_the_matches() -> None:
     assert np.allclose(sampled.first_rgb * 255, [[200, 100, 50], [0, 0, 0]])
     assert np.allclose(sampled.second_rgb * 255, [[100, 50, 25], [0, 0, 0]])
     assert len(concatenate([sampled, sampled]).first) == 4
+
+
+@pytest.mark.parametrize(
+    ("gains", "count", "text"),
+    [
+        (True, 400, r"the cameras differ by \d+\.\d of 255 levels between \d+ matching points, .*--keep-colours"),
+        (False, 400, r"\d\.\d of 255 levels between \d+ matching points; no correction is needed"),
+        (True, 30, r"not compared: \d+ matching points are too few"),
+    ],
+)
+def test_the_check_says_what_was_found(gains: bool, count: int, text: str) -> None:
+    """Catches a report that hides a difference, or that calls too few matches an agreement."""
+    gain, offset = random_cameras(0) if gains else (np.ones((CAMERAS, 3)), np.zeros((CAMERAS, 3)))
+    assert re.search(text, measure_colours(make_matches(0, gain, offset, count=count), TRAINING).describe())

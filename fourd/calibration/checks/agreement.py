@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from fourd.calibration.checks.evidence import (
 )
 from fourd.calibration.checks.match_score import MatchScore, score_matches
 from fourd.calibration.checks.mixups import find_mixups
+from fourd.calibration.colours import ColourDifferences, measure_colours, sample_colours
 from fourd.calibration.matching import Matches, distort_points
 from fourd.calibration.residuals import (
     ALL_PAIRS_CAMERAS,
@@ -59,11 +60,13 @@ class CaptureMatches:
         names: the cameras' names.
         cameras: the cameras of the stored images, with distortion.
         matches: matches of each camera pair, in pixels of the stored images.
+        colours: differences between the cameras' colours at the matches of one frame.
     """
 
     names: tuple[str, ...]
     cameras: tuple[Camera, ...]
     matches: dict[Pair, Matches]
+    colours: ColourDifferences | None = None
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,7 @@ class Agreement:
             matches, or two of them are at equal positions.
         warnings: the lines of ``mixups``. If ``mixups`` is empty, one line for each camera that disagrees with the
             others, or one line if all cameras disagree.
+        colours: differences between the cameras' colours at matching points.
     """
 
     score: MatchScore | None
@@ -90,6 +94,7 @@ class Agreement:
     mixups: tuple[str, ...]
     suspicious: tuple[str, ...]
     warnings: tuple[str, ...]
+    colours: ColourDifferences | None = None
 
     @property
     def worst(self) -> CameraEvidence | None:
@@ -132,7 +137,9 @@ def match_capture(path: Path | str, track: Track | None = None) -> CaptureMatche
             for index, xy in ((i, found.first_px), (j, found.second_px))
         )
         matches[i, j] = Matches(first, second)
-    return CaptureMatches(tuple(capture.names), cameras, matches)
+    own = reduced if len(pictures) == 1 else match_cameras(pictures[:1], capture.cameras)
+    colours = measure_colours(sample_colours(pictures[0], own), range(len(cameras)))
+    return CaptureMatches(tuple(capture.names), cameras, matches, colours)
 
 
 def _match_unmatched(
@@ -156,7 +163,8 @@ def _match_unmatched(
 
 def check_agreement(path: Path | str, track: Track | None = None) -> Agreement:
     """Compute the epipolar residuals of a capture's calibration; see :func:`match_capture` for the arguments."""
-    return assess_agreement(path, match_capture(path, track))
+    found = match_capture(path, track)
+    return replace(assess_agreement(path, found), colours=found.colours)
 
 
 def assess_agreement(path: Path | str, found: CaptureMatches) -> Agreement:

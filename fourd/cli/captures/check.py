@@ -148,6 +148,8 @@ def _facts(
     if agreement is not None:
         table.add_row("residuals", describe_residuals(agreement))
         table.add_row("calibration", describe_verified(agreement))
+        if agreement.colours is not None:
+            table.add_row("colours", agreement.colours.describe())
     if subject is not None:
         table.add_row("subject", str(subject))
     coverage = "" if report.coverage is None else f"; {report.coverage:.1%} of the pixels are foreground"
