@@ -51,7 +51,7 @@ def test_cropping_shifts_the_projection() -> None:
 @pytest.mark.parametrize(
     ("field", "value", "words"),
     [
-        ("rotation", np.diag([1.0, 1, -1]), "rotation: expected an orthonormal"),
+        ("rotation", np.diag([1.0, 1, -1]), "rotation: expected a rotation of determinant .1, got a reflection"),
         ("rotation", np.full((3, 3), np.nan), "rotation: expected finite"),
         ("rotation", np.array([[1e200, -1e200, 0], [1e200, 1e200, 0], [0, 0, 1]]), "rotation: expected an orthonormal"),
         ("intrinsics", np.diag([-1.0, 1, 1]), "intrinsics: expected positive focal"),

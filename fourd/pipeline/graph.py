@@ -17,7 +17,7 @@ from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.segments import divide_stage, segment_stages
 from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
 from fourd.pipeline.stages.cameras.adjust import AdjustSettings, adjust_stage
-from fourd.pipeline.stages.cameras.colours import colours_stage
+from fourd.pipeline.stages.cameras.colours import colours_stage, measures_colours
 from fourd.pipeline.stages.mattes import MatteStageSettings
 from fourd.pipeline.stages.plates import run_plates_stage
 from fourd.pipeline.stages.points.background import BackgroundFiles, BackgroundSettings, background_stage
@@ -65,7 +65,7 @@ def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple
     capture, run, train = request.capture, request.run, request.train
     selection, adjusted = DataSelection.of(train), train.refine.cameras
     stages: list[AnyStage] = []
-    if train.refine.colours is not False and train.segments.frames is None:
+    if measures_colours(train):
         stages.append(colours_stage(capture, run, selection))
     if adjusted:
         stages.append(adjust_stage(capture, run, AdjustSettings.of(selection, train.refine)))

@@ -16,6 +16,8 @@ from fourd.errors import UserError
 from fourd.importing.detection import pick_format
 from fourd.importing.imported import EncodedPictures, Frames, Imported, PictureFiles, VideoFile
 from fourd.pipeline.capture_graph import has_masks, is_usable
+from fourd.pipeline.stages.cameras.colours import FRAMES as COLOUR_FRAMES
+from fourd.pipeline.stages.cameras.colours import measures_colours
 from fourd.training.config import TrainConfig
 from fourd.training.segments.plan import SegmentPlan
 
@@ -98,6 +100,9 @@ def _stage_durations(facts: SourceFacts, train: TrainConfig, workers: int, has_p
         stages += [("mattes", MATTE_S_PER_MP * pictures_mp / workers), ("plates", 0.0)]
     elif facts.is_partly_masked:
         stages.append(("mattes", 0.0))
+    if measures_colours(train):
+        matched_mp = facts.cameras * min(COLOUR_FRAMES, frames) * facts.megapixels
+        stages.append(("colours", IMPORT_S_PER_MP * matched_mp))
     if train.refine.cameras:
         stages.append(("adjust", 0.0))
     carving = 0.0 if has_points else CARVE_S_PER_FRAME * frames / workers

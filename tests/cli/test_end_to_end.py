@@ -86,7 +86,7 @@ def test_full_scenes_are_scored_on_whole_pictures(capture: Path, made: Path, tmp
 def test_make_writes_full_scenes(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Catches a stage that drops the background, and an export that loses quality of the background."""
     scene, overlay, shell = tmp_path / "full.4dv", tmp_path / "small.yaml", tmp_path / "shell.ply"
-    xyz = 4 * sphere(2500)
+    xyz = 5 * sphere(2500)
     write_ply(shell, xyz, np.full(xyz.shape, 128, np.uint8))
     overlay.write_text(OVERLAY + "background: {planes: {levels: 2, features: 4, time: false}, window_px: 48}\n")
     words = ["make", capture, "-o", scene, "--config", overlay, "--test-views", "02,05", "--max-steps", "40"]

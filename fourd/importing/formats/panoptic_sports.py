@@ -86,7 +86,7 @@ def read(source: Path) -> Imported:
     test = tuple(camera.name for camera in cameras if camera.name not in trained)
     notes = ["lengths, axes and pixel coordinates are kept; the unit of length is unknown"]
     if test:
-        notes.append(f"test split of {TEST_NAME}, held out by fourd train and fourd make: {', '.join(test)}")
+        notes.append(f"test split of {TEST_NAME}, which training holds out: {', '.join(test)}")
     unmasked = [camera.name for camera in cameras if camera.masks is None]
     if 0 < len(unmasked) < len(cameras):
         notes.append(f"some cameras have no mattes: {', '.join(unmasked)}")

@@ -60,7 +60,8 @@ def run_train(files: TrainFiles, config: TrainConfig, context: Context) -> None:
     """Start the run, or resume it from its newest checkpoint. Only the budget of a resumed run may change."""
     group = context.group or ALONE
     if group.is_first and not (files.run / CONFIG_NAME).exists():
-        start_run(files.capture, files.run, config).capture.close()
+        with start_run(files.capture, files.run, config) as run:
+            context.log(f"near plane: {run.config.scene.near:.3g} world units")
     group.barrier()
     train_run(files.run, files.lpips_weights, config, context)
 

@@ -85,7 +85,8 @@ class StoredResults:
         if not trained:
             return
         names = [Path(path) for each in trained.values() for path in each.files]
-        steps = max((int(path.stem) for path in names if path.parent.name == CHECKPOINTS), default=0)
+        saved = [path.stem for path in names if path.parent.name == CHECKPOINTS and path.stem.isdecimal()]
+        steps = max(map(int, saved), default=0)
         run = f"the {'un' if all(name.endswith(SUFFIX) for name in trained) else ''}finished run of {steps:,} steps"
         if not self._force:
             entry = StageEntry(state=StageState("", manifest.settings if manifest else {}, {}, {}))

@@ -16,6 +16,7 @@ from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.training.cameras.measured_colours import MeasuredColours, write_measured_colours
 from fourd.training.cameras.selection import DataSelection, open_run_views
+from fourd.training.config import TrainConfig
 from fourd.training.run_layout import COLOURS, MEASURED
 
 FRAMES = 2
@@ -31,6 +32,11 @@ class ColourFiles:
 
     capture: Path
     run: Path
+
+
+def measures_colours(train: TrainConfig) -> bool:
+    """Return whether a run measures the colour differences of its cameras. Runs with segments do not correct them."""
+    return train.refine.colours is not False and train.segments.frames is None
 
 
 def colours_stage(capture: Path, run: Path, selection: DataSelection) -> Stage[ColourFiles, DataSelection]:
