@@ -21,6 +21,8 @@ struct Sizes {
 
     void require(std::size_t count);
     void convert(const Frame& frame, std::size_t begin, std::size_t end);
+    // Fades the densities of points at the near plane (play/near_fade.h). Call convert() first.
+    void fade(const Frame& frame, const points::Settings& settings, std::size_t begin, std::size_t end);
 };
 
 // Remembers which tiles have no points in the image that was last drawn to a points::Surface (colours, depths and

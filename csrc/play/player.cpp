@@ -4,6 +4,7 @@
 
 #include "common/half.h"
 #include "common/team.h"
+#include "play/near_fade.h"
 
 namespace fourd::play {
 namespace {
@@ -20,6 +21,14 @@ void Sizes::require(std::size_t count) {
 void Sizes::convert(const Frame& frame, std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) radius[i] = from_half(frame.radius[i]);
     for (std::size_t i = begin; i < end; ++i) density[i] = from_half(frame.density[i]);
+}
+
+void Sizes::fade(const Frame& frame, const points::Settings& settings, std::size_t begin, std::size_t end) {
+    // The compiler knows that writes through pointers do not change this local copy.
+    const points::Pinhole camera = settings.camera;
+    const float near_depth = settings.near_depth;
+    for (std::size_t i = begin; i < end; ++i)
+        density[i] = faded_density(camera, near_depth, frame.points.xyz + 3 * i, density[i]);
 }
 
 void EmptyTiles::start(const points::Surface& surface, int width, int height, std::size_t tiles) {
@@ -47,8 +56,10 @@ points::Cloud Player::prepare(const Frame& frame, const points::Settings& settin
     const std::size_t count = frame.points.count;
     sizes_.require(count);
     colour_.require(3 * count);
-    run_parts(team, count, kPointsPerTask,
-              [&](std::size_t begin, std::size_t end) { sizes_.convert(frame, begin, end); });
+    run_parts(team, count, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
+        sizes_.convert(frame, begin, end);
+        sizes_.fade(frame, settings, begin, end);
+    });
     const points::Cloud cloud{frame.points.xyz, colour_.data(), sizes_.radius.data(), sizes_.density.data(), count, 3};
     workspace_.source_fingerprint = Fingerprint();
     workspace_.bins.prepare(cloud, settings, team);

@@ -15,6 +15,7 @@ from fourd.baking.shade import shade
 from fourd.baking.splats.reader import open_reader
 from fourd.cameras import Camera
 from fourd.ops.pixel_filter.reference import filter_pixels_reference
+from fourd.ops.play.near_fade import fade_near
 from fourd.ops.points.arrays import render_points_numpy
 from fourd.storage import Location, parse_location
 
@@ -137,7 +138,7 @@ def render_frame(
         frame.xyz,
         shade(frame, camera, manifest, threads=threads),
         frame.radius.astype(np.float32),
-        frame.density.astype(np.float32),
+        fade_near(frame.xyz, frame.density, camera, manifest.near),
         camera,
         layers=layers or manifest.layers,
         near=manifest.near,

@@ -12,6 +12,7 @@ from fourd.baking.scene import SceneManifest
 from fourd.cameras import Camera
 from fourd.lenses.lens import Lens
 from fourd.ops.pixel_filter.reference import filter_pixels_reference
+from fourd.ops.play.near_fade import fade_near
 from fourd.ops.rays.cuda import GpuDiscTree
 
 RAYS_PER_CHUNK = 1 << 21
@@ -43,10 +44,13 @@ def draw_through_lens_gpu(
     """
     device = frame.xyz.device
     radius, density = (bits.view(torch.float16).float() for bits in (frame.radius, frame.density))
-    tree = GpuDiscTree(frame.xyz, radius, density)
-    colours = GpuPlayer(device).shade(frame, camera, manifest)
     rays = lens.rays(camera)
     facing = None if rays.facing is None else _to(device, rays.facing)
+    if facing is not None:
+        arrays = (frame.xyz.cpu().numpy(), density.cpu().numpy())
+        density = _to(device, fade_near(*arrays, camera, manifest.near))
+    tree = GpuDiscTree(frame.xyz, radius, density)
+    colours = GpuPlayer(device).shade(frame, camera, manifest)
     near = 0.0 if facing is None else manifest.near
     behind = torch.tensor(background, device=device)
     sums = torch.zeros(rays.width * rays.height, 3, device=device)

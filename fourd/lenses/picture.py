@@ -14,6 +14,7 @@ from fourd.cameras import Camera
 from fourd.lenses.inserts import Insert
 from fourd.lenses.lens import Lens
 from fourd.ops.pixel_filter.reference import filter_pixels_reference
+from fourd.ops.play.near_fade import fade_near
 from fourd.ops.rays.discs import DiscTree
 
 Array = NDArray[np.float64]
@@ -88,8 +89,10 @@ def draw_through_lens(
 
     Points are discs, and the alpha at a distance d from a disc's centre is density * (1 - d^2 / radius^2). For a
     :class:`~fourd.lenses.lens.Pinhole` and a :class:`~fourd.lenses.lens.ThinLens`, discs are parallel to the image
-    plane. For other lenses, each disc faces the ray. A point has the colour that it shows towards the camera, even if a
-    ray reaches the point through a mirror or glass.
+    plane, and points fade at the scene's near plane (:mod:`fourd.ops.play.near_fade`). With inserts, points are cut off
+    there without a fade, because a mirror can show what is beside or behind the camera. For other lenses, each disc
+    faces the ray, and there is no near plane. A point has the colour that it shows towards the camera, even if a ray
+    reaches the point through a mirror or glass.
 
     Args:
         frame: a frame whose values are all finite.
@@ -100,11 +103,13 @@ def draw_through_lens(
         background: RGB colour behind the points, in [0, 1].
         threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores.
     """
-    arrays = (frame.xyz, frame.radius.astype(np.float32), frame.density.astype(np.float32))
-    colours = shade(frame, camera, manifest, threads=threads)
-    tree = DiscTree(*arrays, threads=threads)
-    traced = _Traced(tree, colours, inserts, np.asarray(background), manifest.near, layers or manifest.layers, threads)
     rays = lens.rays(camera)
+    density = frame.density.astype(np.float32)
+    if rays.facing is not None and not inserts:
+        density = fade_near(frame.xyz, density, camera, manifest.near)
+    colours = shade(frame, camera, manifest, threads=threads)
+    tree = DiscTree(frame.xyz, frame.radius.astype(np.float32), density, threads=threads)
+    traced = _Traced(tree, colours, inserts, np.asarray(background), manifest.near, layers or manifest.layers, threads)
     size = rays.width * rays.height
     sums, counts = np.zeros((size, 3)), np.bincount(rays.pixels, minlength=size)
     for begin in range(0, len(rays.pixels), RAYS_PER_CHUNK):

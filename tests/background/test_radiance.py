@@ -17,7 +17,7 @@ from fourd.background.radiance.from_radiance import seed_from_radiance
 from fourd.background.radiance.occupancy import OccupancyGrid
 from fourd.background.radiance.optimization import OptimizedField, optimize_field
 from fourd.background.radiance.pixels import Pixels
-from fourd.background.radiance.rays import Rays, camera_rays, resample_edges, to_distance, to_normalized
+from fourd.background.radiance.rays import MAX_NEAR, NEAR, RayRange, Rays, camera_rays, resample_edges
 from fourd.background.radiance.room_depth import Room as RoomShape
 from fourd.background.radiance.volume_rendering import distortion_loss, rendering_weights, weight_quantile
 from fourd.background.shell import viewing_centre
@@ -65,7 +65,7 @@ def reduced() -> list[ReducedPlate]:
 
 
 def pixels_of(reduced: list[ReducedPlate], surfaces: list[Surface], contraction: Contraction) -> Pixels:
-    return Pixels.from_plates(reduced, surfaces, surfaces, contraction.radius)
+    return Pixels.from_plates(reduced, surfaces, surfaces, contraction.radius, RayRange())
 
 
 def space_of(reduced: list[ReducedPlate]) -> Contraction:
@@ -116,7 +116,7 @@ class _Fog(RadianceField):
 def test_unconfirmed_field_depths_are_not_used(reduced: list[ReducedPlate]) -> None:
     """Catches noisy field depths that count as confirmed, and measured cells that are overwritten by field depths."""
     space = space_of(reduced)
-    field = OptimizedField(_Fog(SMALL.grid, space, SMALL.hidden), OccupancyGrid(space, SMALL.occupancy))
+    field = OptimizedField(_Fog(SMALL.grid, space, SMALL.hidden), OccupancyGrid(space, SMALL.occupancy, RayRange()))
     half = [np.arange(len(plate.grid().pixels)) % 2 == 0 for plate in reduced]
     measured = [true_surface(plate, known) for plate, known in zip(reduced, half, strict=True)]
     continued = [true_surface(plate) for plate in reduced]
@@ -130,13 +130,33 @@ def test_unconfirmed_field_depths_are_not_used(reduced: list[ReducedPlate]) -> N
     assert all((surface.known == stereo.known).all() for surface, stereo in zip(alone, measured, strict=True))
 
 
-def test_normalized_distance_round_trip() -> None:
+@pytest.mark.parametrize("near", [NEAR, 0.3, MAX_NEAR])
+def test_normalized_distance_round_trip(near: float) -> None:
     """Catches a mapping that is not monotonic or not continuous between its linear half and its disparity half."""
-    normalized = torch.linspace(0, 1, 301)
-    distance = to_distance(normalized)
+    normalized, span = torch.linspace(0, 1, 301), RayRange(near)
+    distance = span.to_distance(normalized)
+    assert distance[0] == pytest.approx(near)
     assert (distance.diff() > 0).all()
-    torch.testing.assert_close(to_normalized(distance), normalized, atol=1e-5, rtol=0)
-    assert to_normalized(torch.tensor([0.0, 1e9])).tolist() == pytest.approx([0, 1], abs=1e-2)
+    torch.testing.assert_close(span.to_normalized(distance), normalized, atol=1e-5, rtol=0)
+    assert span.to_normalized(torch.tensor([0.0, 1e9])).tolist() == pytest.approx([0, 1], abs=1e-2)
+
+
+def test_rays_start_at_the_near_plane_or_later() -> None:
+    """Catches a near plane in world units that is taken as a multiple of the radius, rays that start before NEAR, and
+    rays without samples at all."""
+    starts = [RayRange.from_near_plane(near, 2.0).near for near in (None, 0.01, 0.6, 50.0)]
+    assert starts == pytest.approx([NEAR, NEAR, 0.3, MAX_NEAR])
+
+
+def test_the_field_has_nothing_before_the_near_plane(reduced: list[ReducedPlate]) -> None:
+    """Catches a field that ignores the start of the rays: an opaque field is then seen directly before the lens."""
+    space = space_of(reduced)
+    for start in (NEAR, 0.4):
+        occupancy = OccupancyGrid(space, SMALL.occupancy, RayRange(start))
+        field = OptimizedField(_Fog(SMALL.grid, space, SMALL.hidden), occupancy)
+        rendered = field.render(camera_rays(reduced[0].camera, torch.tensor([[10.5, 10.5]])), 32)
+        first = occupancy.span.to_distance(rendered.edges)[0, 0]
+        assert start <= first < start + 0.2
 
 
 def test_points_on_rays_project_to_their_pixels(rng: np.random.Generator) -> None:
@@ -157,7 +177,7 @@ def test_sampled_rays_belong_to_their_pixels(reduced: list[ReducedPlate]) -> Non
     space = space_of(reduced)
     surfaces = [true_surface(plate) for plate in reduced]
     batch = pixels_of(holed, surfaces, space).sample(200, generator())
-    xyz = batch.rays.at(to_distance(batch.surface)[:, None], space.radius)[:, 0].numpy()
+    xyz = batch.rays.at(RayRange().to_distance(batch.surface)[:, None], space.radius)[:, 0].numpy()
     for row in range(200):
         which = int(np.argmin([np.linalg.norm(s.camera.centre - batch.rays.origins[row].numpy()) for s in reduced]))
         pixel, depth = reduced[which].camera.project(xyz[row : row + 1].astype(np.float64))
@@ -217,16 +237,16 @@ def one_ray() -> Rays:
 def test_samples_concentrate_on_occupied_cells() -> None:
     """Catches too many samples in empty space. Also catches empty space without samples, in which new surfaces would
     not be found."""
-    grid = OccupancyGrid(Contraction((0.0, 0.0, 0.0), 1.0), 64)
+    grid = OccupancyGrid(Contraction((0.0, 0.0, 0.0), 1.0), 64, RayRange())
     place = torch.tensor([[0.3, 0.0, 0.0]])
-    even = to_distance(grid.sample(one_ray(), 32, None)[0])
+    even = RayRange().to_distance(grid.sample(one_ray(), 32, None)[0])
     grid.update(place, torch.tensor([200.0]))
-    found = to_distance(grid.sample(one_ray(), 32, None)[0])
+    found = RayRange().to_distance(grid.sample(one_ray(), 32, None)[0])
     assert ((even - 1.3).abs() < 0.15).sum() < 5
     assert ((found - 1.3).abs() < 0.15).sum() > 16
     assert (found < 1.0).any()
     assert (found > 2.0).any()
-    hinted = to_distance(grid.sample(one_ray(), 32, None, to_normalized(torch.tensor([0.6])))[0])
+    hinted = RayRange().to_distance(grid.sample(one_ray(), 32, None, RayRange().to_normalized(torch.tensor([0.6])))[0])
     assert ((hinted - 0.6).abs() < 0.15).sum() > 8
     without_hint = grid.sample(one_ray(), 32, None, torch.tensor([torch.nan]))
     assert torch.equal(without_hint, grid.sample(one_ray(), 32, None))
@@ -235,7 +255,7 @@ def test_samples_concentrate_on_occupied_cells() -> None:
 def test_densities_decay() -> None:
     """Catches cells whose density never decays, and an update with the last density of a batch instead of the largest
     density."""
-    grid = OccupancyGrid(Contraction((0.0, 0.0, 0.0), 1.0), 8)
+    grid = OccupancyGrid(Contraction((0.0, 0.0, 0.0), 1.0), 8, RayRange())
     place = torch.tensor([[0.1, 0.1, 0.1], [0.1, 0.1, 0.1], [0.1, 0.1, 0.1]])
     grid.update(place, torch.tensor([1.0, 5.0, 2.0]))
     cell = grid.cell_of(place)[0]

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from fourd.baking import BakedFrame, SceneManifest, SceneReader, SceneWriter
 from fourd.cameras import Camera, look_at
 
+NEAR_IN_BALL = 2.4
+"""A near plane that, from the cameras of :func:`ring`, cuts the ball of :func:`random_frame`. Most points fade."""
+
 
 def ring(count: int, size: int = 48, radius: float = 3.0, height: float = 0.5) -> tuple[Camera, ...]:
     """Return cameras in a ring around the z axis that point at the origin, with z up."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import torch
 from fourd.baking import SceneReader
 from fourd.baking.gpu_player import GpuFrame, GpuPlayer
 from fourd.baking.shade import shade_reference
-from tests.baking.scenes import manifest, random_frame, ring, write_full_scene
+from tests.baking.scenes import NEAR_IN_BALL, manifest, random_frame, ring, write_full_scene
 from tests.baking.test_player import draw_reference
 
 
@@ -25,6 +26,15 @@ def test_bytes_equal_the_float_picture(points: int, layers: int, gpu: torch.devi
         picture = player.draw(held, camera, described, layers=layers, background=background).cpu().numpy()
         truth = draw_reference(frame, camera, described, layers, background)
         assert picture.shape == truth.shape
+        assert np.abs(picture.astype(float) - 255 * truth).max() <= 1.0
+
+
+def test_points_fade_at_the_near_plane(gpu: torch.device) -> None:
+    """Catches a GPU that cuts points off where the CPU fades them."""
+    frame, described = random_frame(700, 6, seed=2), replace(manifest(views=6), near=NEAR_IN_BALL)
+    for camera in ring(2):
+        picture = GpuPlayer(gpu).draw(GpuFrame.from_frame(frame, gpu), camera, described).cpu().numpy()
+        truth = draw_reference(frame, camera, described, described.layers)
         assert np.abs(picture.astype(float) - 255 * truth).max() <= 1.0
 
 

@@ -4,6 +4,7 @@ and between devices.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -18,12 +19,14 @@ from fourd.lenses.gpu_picture import draw_through_lens_gpu
 from fourd.lenses.inserts import GlassBall, MirrorFloor
 from fourd.lenses.lens import Fisheye, Lens, Panorama, Pinhole, ThinLens
 from fourd.lenses.picture import draw_through_lens
-from tests.baking.scenes import manifest, random_frame, ring, write_scene
+from tests.baking.scenes import NEAR_IN_BALL, manifest, random_frame, ring, write_scene
 
 
-def test_a_pinhole_shows_the_picture_of_the_compositor() -> None:
-    """Catches colours, a compositing order or a pixel filter that differ from those of the rasterized picture."""
-    frame, described = random_frame(4000, 6, seed=4), manifest(views=6)
+@pytest.mark.parametrize("near", [0.01, NEAR_IN_BALL])
+def test_a_pinhole_shows_the_picture_of_the_compositor(near: float) -> None:
+    """Catches colours, a compositing order, a fade at the near plane or a pixel filter that differ from those of the
+    rasterized picture."""
+    frame, described = random_frame(4000, 6, seed=4), replace(manifest(views=6), near=near)
     for camera in ring(3, size=96):
         expected = render_frame(frame, camera, described, background=np.float32([0.2, 0.3, 0.4])).rgb
         found = draw_through_lens(frame, camera, described, Pinhole(), background=(0.2, 0.3, 0.4))
@@ -34,7 +37,7 @@ def test_a_pinhole_shows_the_picture_of_the_compositor() -> None:
 def test_a_gpu_draws_the_picture_of_the_cpu(lens: Lens, gpu: torch.device, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a background, a filter, a near plane or averages over rays that differ between the GPU and the CPU."""
     monkeypatch.delenv("FOURD_SIMD", raising=False)
-    frame, described = random_frame(1500, 6, seed=4), manifest(views=6)
+    frame, described = random_frame(1500, 6, seed=4), replace(manifest(views=6), near=NEAR_IN_BALL)
     camera = ring(3, size=32)[1]
     expected = draw_through_lens(frame, camera, described, lens, background=(0.2, 0.3, 0.4))
     held = GpuFrame.from_frame(frame, gpu)

@@ -36,6 +36,8 @@ const int COLOURS = 0;
 const int NORMALS = 1;  // The normal times front_weight.
 const int DEPTHS = 2;   // The depth times front_weight, and front_weight itself.
 
+const float FADE_SHARE = 0.5;  // Depth over which points fade, as a fraction of the depth of the near plane.
+
 in uint point;
 
 out vec4 disc;   // Centre (u, v), 1 / rho^2 and the radius rho, with lengths in pixels.
@@ -102,6 +104,8 @@ void main() {
                   affine(rotation_z, world, translation.z));
     float rho = intrinsics_y.y * texelFetch(radius, at(slot), 0).r / p.z;
     float clamped_density = min(texelFetch(density, at(slot), 0).r, 1.0);
+    // Points fade at the near plane (fourd/ops/play/near_fade.py).
+    clamped_density *= clamp((p.z - near) / (FADE_SHARE * near), 0.0, 1.0);
     bool is_drawn = p.z >= near && clamped_density > 0.0 && rho > 0.0 && rho < 1e18;
     if (!is_drawn) {
         disc = vec4(-1.0, -1.0, 1.0, 0.0);

@@ -3,18 +3,23 @@
 #include "common/half.h"
 #include "device/arena.h"
 #include "device/executor.h"
+#include "play/near_fade.h"
 #include "shade/cuda/shade.h"
 
 namespace fourd::play::cuda {
 namespace {
 
+// Converts radii and densities to float32, and fades the densities of points at the near plane.
 struct Unpack {
     Frame frame;
+    points::Pinhole camera;
+    float near_depth;
     float *radius, *density;
 
     FOURD_DEVICE void operator()(std::size_t point) const {
         radius[point] = from_half(frame.radius[point]);
-        density[point] = from_half(frame.density[point]);
+        density[point] =
+            faded_density(camera, near_depth, frame.points.xyz + 3 * point, from_half(frame.density[point]));
     }
 };
 
@@ -40,7 +45,7 @@ void draw(const Frame& frame, const points::Settings& settings, const shade::Set
     const std::size_t count = frame.points.count;
     device::Arena arena(buffer.memory);
     const Floats floats(arena, count);
-    executor.for_each(count, Unpack{frame, floats.radius, floats.density});
+    executor.for_each(count, Unpack{frame, settings.camera, settings.near_depth, floats.radius, floats.density});
     executor.for_each(count, shade::cuda::ShadePoint(frame.points, shading, floats.colour));
     const points::Cloud cloud{frame.points.xyz, floats.colour, floats.radius, floats.density, count, 3};
     unsigned char* const rest = static_cast<unsigned char*>(buffer.memory) + arena.bytes();

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fourd.background.radiance.optimization import OptimizedField
-from fourd.background.radiance.rays import camera_rays, to_distance
+from fourd.background.radiance.rays import camera_rays
 from fourd.background.radiance.volume_rendering import weight_quantile
 from fourd.background.stereo.depth_maps import ReducedPlate
 from fourd.background.stereo.fusion import Surface, count_agreement
@@ -31,8 +31,9 @@ MAX_QUARTILE_RATIO = 1.25
 """Maximum ratio of the upper to the lower quartile of the distances along a ray, weighted by the rendering weights.
 Above this ratio, the rendering weights are too spread out to describe a surface."""
 MAX_MEDIAN = 0.99
-"""Maximum normalised distance, in [0, 1] (see :func:`to_distance`), at which a ray's cumulative rendering weight
-reaches 1/2. If the weight reaches 1/2 farther away, the ray is assumed to hit no surface."""
+"""Maximum normalised distance, in [0, 1] (see :class:`~fourd.background.radiance.rays.RayRange`), at which a
+ray's cumulative rendering weight reaches 1/2. If the weight reaches 1/2 farther away, the ray is assumed to hit
+no surface."""
 
 
 def add_field_depths(
@@ -87,7 +88,7 @@ def median_inverse_depths(field: OptimizedField, plate: ReducedPlate, xy: Array)
             rays = camera_rays(plate.camera, pixels)
             rendered = field.render(rays, SAMPLES)
             quartiles = [weight_quantile(rendered.weights, rendered.edges, part) for part in (0.25, 0.5, 0.75)]
-            near, middle, far = (to_distance(quartile) for quartile in quartiles)
+            near, middle, far = (field.occupancy.span.to_distance(quartile) for quartile in quartiles)
             depth = middle * unit * (rays.directions @ torch.tensor(plate.camera.forward).float())
             parts.append(torch.where((far < MAX_QUARTILE_RATIO * near) & (quartiles[1] < MAX_MEDIAN), 1 / depth, 0))
     return np.asarray(torch.cat(parts).double().numpy(), np.float64)

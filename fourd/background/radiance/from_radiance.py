@@ -14,6 +14,7 @@ from fourd.background.radiance.config import RadianceConfig
 from fourd.background.radiance.depths import add_field_depths
 from fourd.background.radiance.optimization import optimize_field
 from fourd.background.radiance.pixels import Pixels
+from fourd.background.radiance.rays import RayRange
 from fourd.background.radiance.room_depth import Room
 from fourd.background.shell import viewing_centre
 from fourd.background.stereo.colouring import sample_coloured_points
@@ -44,6 +45,7 @@ def seed_from_radiance(
     points: int,
     config: RadianceConfig,
     *,
+    near: float | None = None,
     seed: int = 0,
     log: Log = lambda line: None,
     track: Track = untracked,
@@ -63,6 +65,8 @@ def seed_from_radiance(
         points: requested number of points, at least 1. If the plates have few visible pixels, the result has fewer
             points than requested.
         config: settings of the radiance field.
+        near: depth in world units before which the cameras see no static surface, or None if unknown
+            (:meth:`~fourd.background.radiance.rays.RayRange.from_near_plane`).
         seed: seed of the random numbers.
         log: reports the fraction of the plates' area with known depths, and how many points are measured, confirmed and
             extrapolated.
@@ -82,7 +86,7 @@ def seed_from_radiance(
         raise _depth_error(f"{MIN_FEATURES} features to match between two plates", f"{stereo.feature_count}")
     if stereo.measured_share < FEW_SHARE:
         log("stereo: too few depths to supervise the field; the field's depths come mainly from colours")
-    surfaces = _estimate_surfaces(stereo, config, seed, track)
+    surfaces = _estimate_surfaces(stereo, config, near, seed, track)
     confirmed_cells = sum(int((surface.known & (surface.support > 0)).sum()) for surface in surfaces)
     confirmed = confirmed_cells / stereo.visible_cells
     if confirmed < MIN_SHARE:
@@ -97,14 +101,18 @@ def seed_from_radiance(
     return cloud
 
 
-def _estimate_surfaces(stereo: StereoResult, config: RadianceConfig, seed: int, track: Track) -> list[Surface]:
+def _estimate_surfaces(
+    stereo: StereoResult, config: RadianceConfig, near: float | None, seed: int, track: Track
+) -> list[Surface]:
     """Create one surface per plate. Each depth of a surface is measured, rendered from the field, or extrapolated."""
     cameras = [plate.camera for plate in stereo.plates]
     views = [plate.grey_view() for plate in stereo.plates]
     centre = viewing_centre(cameras)
     continued = _extrapolate(stereo, views, centre, seed)
     contraction = contraction_around(cameras, centre)
-    pixels = Pixels.from_plates(stereo.plates, stereo.surfaces, continued, contraction.radius)
+    unit = contraction.radius
+    span = RayRange.from_near_plane(near, unit)
+    pixels = Pixels.from_plates(stereo.plates, stereo.surfaces, continued, unit, span)
     field = optimize_field(pixels, contraction, config, seed, track)
     return add_field_depths(field, stereo.plates, stereo.surfaces, continued, track)
 

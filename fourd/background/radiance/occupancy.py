@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from fourd.background.contraction import Contraction
-from fourd.background.radiance.rays import Rays, resample_edges, to_distance
+from fourd.background.radiance.rays import RayRange, Rays, resample_edges
 from fourd.background.radiance.volume_rendering import rendering_weights
 
 DECAY = 0.95
@@ -30,9 +30,10 @@ class OccupancyGrid:
     samples from it.
     """
 
-    def __init__(self, contraction: Contraction, cells: int) -> None:
-        """Create an empty grid with ``cells`` cells along each side."""
+    def __init__(self, contraction: Contraction, cells: int, span: RayRange) -> None:
+        """Create an empty grid with ``cells`` cells along each side. ``span`` is the range of all rays."""
         self.contraction = contraction
+        self.span = span
         self.cells = cells
         self.density = torch.zeros(cells**3)
         self.edges = torch.linspace(0, 1, BINS + 1)
@@ -53,9 +54,10 @@ class OccupancyGrid:
             (R, count + 1) normalised distances of the intervals' edges.
         """
         middles = (self.edges[1:] + self.edges[:-1]) / 2
-        distances = to_distance(middles).expand(len(rays), -1)
+        distances = self.span.to_distance(middles).expand(len(rays), -1)
         density = self.density[self.cell_of(rays.at(distances, self.contraction.radius))]
-        weights, transmittance = rendering_weights(density, to_distance(self.edges).diff().expand_as(distances))
+        lengths = self.span.to_distance(self.edges).diff()
+        weights, transmittance = rendering_weights(density, lengths.expand_as(distances))
         pooled = functional.max_pool1d(weights[:, None], 3, 1, 1)[:, 0]
         histogram = pooled / 3 + (transmittance[:, None] + UNIFORM_WEIGHT) / BINS
         if hint is not None:

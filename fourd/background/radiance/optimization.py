@@ -13,7 +13,7 @@ from fourd.background.radiance.config import RadianceConfig
 from fourd.background.radiance.field import RadianceField
 from fourd.background.radiance.occupancy import OccupancyGrid
 from fourd.background.radiance.pixels import Batch, Pixels
-from fourd.background.radiance.rays import Rays, to_distance
+from fourd.background.radiance.rays import Rays
 from fourd.background.radiance.volume_rendering import distortion_loss, rendering_weights
 from fourd.progress import Track, untracked
 
@@ -46,7 +46,7 @@ class OptimizedField:
         with torch.no_grad():
             jitter = None if generator is None else torch.rand(len(rays), samples + 1, generator=generator)
             edges = self.occupancy.sample(rays, samples, jitter, hint)
-            distances = to_distance(edges)
+            distances = self.occupancy.span.to_distance(edges)
             middles = (distances[:, 1:] + distances[:, :-1]) / 2
             xyz = rays.at(middles, self.radiance.contraction.radius).reshape(-1, 3)
             lengths = distances.diff(dim=1)
@@ -90,7 +90,7 @@ def optimize_field(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         radiance = RadianceField(config.grid, contraction, config.hidden)
-    field = OptimizedField(radiance, OccupancyGrid(contraction, config.occupancy))
+    field = OptimizedField(radiance, OccupancyGrid(contraction, config.occupancy, pixels.span))
     optimizer = torch.optim.Adam(radiance.parameters(), lr=config.rate, betas=(0.9, 0.99), eps=1e-15, fused=True)
     for step in track(range(config.steps), config.steps, "background field: steps"):
         optimizer.param_groups[0]["lr"] = config.rate * _rate_factor(step, config.steps)

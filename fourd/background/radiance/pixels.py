@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from fourd.background.radiance.rays import Rays, ray_matrix, to_normalized
+from fourd.background.radiance.rays import RayRange, Rays, ray_matrix
 from fourd.background.stereo.depth_maps import ReducedPlate
 from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.patches import index_intrinsics
@@ -54,6 +54,7 @@ class Pixels:
         measured: (P,) bool, true if stereo measured the distance.
         centres: (V, 3) float32 camera centres in world coordinates.
         matrices: (V, 3, 3) float32 matrices that map pixels (x, y, 1) to ray directions in world coordinates.
+        span: range of the rays, which normalises the distances of ``surface``.
     """
 
     plate: Tensor
@@ -63,10 +64,15 @@ class Pixels:
     measured: Tensor
     centres: Tensor
     matrices: Tensor
+    span: RayRange
 
     @staticmethod
     def from_plates(
-        plates: Sequence[ReducedPlate], measured: Sequence[Surface], continued: Sequence[Surface], unit: float
+        plates: Sequence[ReducedPlate],
+        measured: Sequence[Surface],
+        continued: Sequence[Surface],
+        unit: float,
+        span: RayRange,
     ) -> Pixels:
         """Collect the visible pixels of all plates.
 
@@ -76,8 +82,9 @@ class Pixels:
             continued: the same surfaces with extrapolated depths in unknown cells.
             unit: radius of the field's space contraction in world units. Distances along rays are in multiples of this
                 radius.
+            span: range of the rays.
         """
-        parts = [_plate_pixels(*each, unit) for each in zip(plates, measured, continued, strict=True)]
+        parts = [_plate_pixels(*each, unit, span) for each in zip(plates, measured, continued, strict=True)]
         plate = torch.repeat_interleave(torch.tensor([len(part.xy) for part in parts]))
         centres = np.stack([each.camera.centre for each in plates])
         matrices = np.stack([ray_matrix(each.camera) for each in plates])
@@ -89,6 +96,7 @@ class Pixels:
             torch.from_numpy(np.concatenate([part.measured for part in parts])),
             torch.from_numpy(centres).float(),
             torch.from_numpy(matrices).float(),
+            span,
         )
 
     def sample(self, count: int, generator: torch.Generator) -> Batch:
@@ -111,7 +119,7 @@ class _Part:
     measured: NDArray[np.bool_]
 
 
-def _plate_pixels(reduced: ReducedPlate, measured: Surface, continued: Surface, unit: float) -> _Part:
+def _plate_pixels(reduced: ReducedPlate, measured: Surface, continued: Surface, unit: float, span: RayRange) -> _Part:
     rows, columns = np.nonzero(reduced.seen)
     xy = np.column_stack([columns, rows])
     cells = continued.depths.grid.cells_at(xy.astype(np.float64))
@@ -122,6 +130,6 @@ def _plate_pixels(reduced: ReducedPlate, measured: Surface, continued: Surface, 
     )
     lengths = np.linalg.norm(homogeneous @ np.linalg.inv(index_intrinsics(reduced.camera)).T, axis=1)
     distance = np.where(valid, lengths / np.where(valid, inverse, 1) / unit, np.nan)
-    surface = np.where(valid, to_normalized(torch.from_numpy(distance).nan_to_num()).numpy(), np.nan)
+    surface = np.where(valid, span.to_normalized(torch.from_numpy(distance).nan_to_num()).numpy(), np.nan)
     is_measured = valid & measured.known[cells]
     return _Part(xy.astype(np.int16), reduced.rgb[rows, columns], surface.astype(np.float32), is_measured)

@@ -13,7 +13,9 @@ from torch.nn import functional
 from fourd.cameras import Camera
 
 NEAR = 0.05
-"""Distance at which rays start. All distances along rays are in units of the contraction's radius."""
+"""Minimum distance at which rays start. All distances along rays are in units of the contraction's radius."""
+MAX_NEAR = 1.0
+"""Maximum distance at which rays start, so that a part of every ray lies before ``LINEAR_UP_TO``."""
 LINEAR_UP_TO = 2.0
 """Distance up to which the normalised distance is linear in distance. Beyond it, the normalised distance is linear in
 inverse distance."""
@@ -55,22 +57,46 @@ def ray_matrix(camera: Camera) -> NDArray[np.float64]:
     return np.asarray(camera.rotation.T @ np.linalg.inv(camera.intrinsics), np.float64)
 
 
-def to_distance(normalized: Tensor) -> Tensor:
-    """Convert normalised distances in [0, 1] to distances.
+@dataclass(frozen=True)
+class RayRange:
+    """The distances at which rays start and end, and their normalisation to [0, 1].
 
-    Normalised distances in [0, 0.5] are mapped linearly to distances from 0.05 to 2. Those in [0.5, 1] are mapped to
-    distances from 2 to 200, such that the inverse distance changes linearly.
+    Attributes:
+        near: distance at which rays start, from NEAR to MAX_NEAR. What lies nearer to a camera is no part of the field.
     """
-    near = NEAR + 2 * normalized * (LINEAR_UP_TO - NEAR)
-    inverse = 1 / LINEAR_UP_TO + (2 * normalized - 1).clamp(min=0) * (1 / FAR - 1 / LINEAR_UP_TO)
-    return torch.where(normalized < 0.5, near, 1 / inverse)
 
+    near: float = NEAR
 
-def to_normalized(distance: Tensor) -> Tensor:
-    """Apply the inverse of :func:`to_distance`, clamped to [0, 1]."""
-    near = (distance - NEAR) / (2 * (LINEAR_UP_TO - NEAR))
-    far = 0.5 + 0.5 * (1 / distance.clamp(min=LINEAR_UP_TO) - 1 / LINEAR_UP_TO) / (1 / FAR - 1 / LINEAR_UP_TO)
-    return torch.where(distance < LINEAR_UP_TO, near, far).clamp(0, 1)
+    @classmethod
+    def from_near_plane(cls, near: float | None, unit: float) -> RayRange:
+        """Create the range of rays that start at the near plane, but not before NEAR.
+
+        A point at the near plane is never nearer to the camera than the plane's depth, which is its distance along the
+        viewing axis. The field is fitted before the visual hull is known, so the near plane is the one of the static
+        surfaces (:func:`fourd.training.points.near_plane.feature_near`). The scene's near plane can be at a smaller
+        depth, because the subject may come closer to a camera, but the field contains only static surfaces.
+
+        Args:
+            near: depth of the near plane in world units, or None if no camera has enough features.
+            unit: radius of the field's space contraction in world units.
+        """
+        return cls(NEAR if near is None else min(max(NEAR, near / unit), MAX_NEAR))
+
+    def to_distance(self, normalized: Tensor) -> Tensor:
+        """Convert normalised distances in [0, 1] to distances.
+
+        Normalised distances in [0, 0.5] are mapped linearly to distances from ``near`` to 2. Those in [0.5, 1] are
+        mapped to distances from 2 to 200, such that the inverse distance changes linearly.
+        """
+        near = self.near + 2 * normalized * (LINEAR_UP_TO - self.near)
+        inverse = 1 / LINEAR_UP_TO + (2 * normalized - 1).clamp(min=0) * (1 / FAR - 1 / LINEAR_UP_TO)
+        return torch.where(normalized < 0.5, near, 1 / inverse)
+
+    def to_normalized(self, distance: Tensor) -> Tensor:
+        """Apply the inverse of :meth:`to_distance`, clamped to [0, 1]."""
+        near = (distance - self.near) / (2 * (LINEAR_UP_TO - self.near))
+        far = 0.5 + 0.5 * (1 / distance.clamp(min=LINEAR_UP_TO) - 1 / LINEAR_UP_TO) / (1 / FAR - 1 / LINEAR_UP_TO)
+        return torch.where(distance < LINEAR_UP_TO, near, far).clamp(0, 1)
 
 
 def resample_edges(edges: Tensor, weights: Tensor, count: int, jitter: Tensor | None) -> Tensor:

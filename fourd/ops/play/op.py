@@ -62,7 +62,7 @@ class PointPlayer:
             sh, blend_weights, rgb, shading: inputs of :func:`fourd.ops.shade.op.shade_points`.
             camera: a pinhole camera without lens distortion.
             layers: maximum number of points that are composited in a pixel.
-            near: points with a camera depth below this number of world units are culled.
+            near: depth in world units at which points have faded out (:mod:`fourd.ops.play.near_fade`).
             background: red, green and blue values behind the points, in [0, 1].
             pixel_filter: ``side`` of :func:`fourd.ops.pixel_filter.op.filter_pixels`; 0 for no filter.
             threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.

@@ -7,6 +7,7 @@ import torch
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera
+from fourd.ops.play.near_fade import fade_near
 from fourd.ops.points.reference import render_points_reference
 from fourd.ops.shade.reference import shade_points_reference
 from fourd.ops.shade.shading import Shading
@@ -35,6 +36,8 @@ def draw_points_reference(
 ) -> NDArray[np.float32]:
     """Compute the image of :meth:`fourd.ops.play.op.PointPlayer.draw`, without early termination of compositing.
 
+    At the near plane, points fade (:mod:`fourd.ops.play.near_fade`).
+
     Returns:
         (H, W, 4) float32 image in [0, 1], not rounded to bytes. The channels are RGB, composited over the background,
         and alpha.
@@ -44,7 +47,7 @@ def draw_points_reference(
         torch.from_numpy(xyz.copy()),
         torch.from_numpy(colours),
         torch.from_numpy(radius.astype(np.float32)),
-        torch.from_numpy(density.astype(np.float32)),
+        torch.from_numpy(fade_near(xyz, density, camera, near)),
         camera,
         layers,
         near,

@@ -18,6 +18,7 @@ from fourd.baking.shade import shade_reference
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.ops.pixel_filter.reference import filter_pixels_reference
+from fourd.ops.play.near_fade import fade_near
 from fourd.raster import render_points
 from fourd.training.memory import resident_bytes
 from fourd.viewer.display import DisplaySettings, RenderRequest
@@ -27,7 +28,7 @@ from fourd.viewer.gl.frame_textures import Precision
 from fourd.viewer.gl.passes import release_framebuffer
 from fourd.viewer.rendering.renderers import RENDERERS, Renderer, RendererName, make_renderer
 from fourd.viewer.shader_files import read_shader
-from tests.baking.scenes import manifest, random_frame, ring
+from tests.baking.scenes import NEAR_IN_BALL, manifest, random_frame, ring
 from tests.viewer.gl import contexts, render
 from tests.viewer.scenes import shell_frame
 
@@ -59,7 +60,8 @@ def reference(request: RenderRequest, layers: int | None = None) -> NDArray[np.f
     """The image (H, W, 3) of the torch reference, composited over the background colour."""
     frame, settings = request.frame, request.settings
     colours = shade_reference(frame, request.camera, request.manifest)
-    arrays = (frame.xyz, colours, frame.radius.astype(np.float32), frame.density.astype(np.float32))
+    density = fade_near(frame.xyz, frame.density, request.camera, request.manifest.near)
+    arrays = (frame.xyz, colours, frame.radius.astype(np.float32), density)
     rendered = render_points(
         *(torch.from_numpy(array.copy()) for array in arrays),
         request.camera,
@@ -167,6 +169,14 @@ def test_large_points_near_the_camera(name: RendererName, make, context: moderng
     # The sorted renderer composites all layers, so its reference must do the same.
     truth = reference(request, layers=64 if name == "sorted" else LAYERS)
     require_parity(name, render(make(name), request, context), truth)
+
+
+@pytest.mark.parametrize("name", RENDERERS)
+def test_points_fade_at_the_near_plane(name: RendererName, make, context: moderngl.Context) -> None:
+    """Catches a renderer that cuts points off at the near plane."""
+    request = make_request(shell_frame(2000, seed=5), small_camera(3))
+    request = replace(request, manifest=replace(request.manifest, near=NEAR_IN_BALL))
+    require_parity(name, render(make(name), request, context), reference(request))
 
 
 @pytest.mark.parametrize("name", ["sorted", "peel", "dual"])
@@ -305,8 +315,9 @@ def test_manifest_constants_reach_the_shader(make, context: moderngl.Context) ->
     """Catches shaders with hard-coded values of sh_range, sh_base, near, neighbours and view weights."""
     changed: SceneManifest = replace(manifest(6), sh_range=0.4, sh_base=0.1, near=2.6, neighbours=2, fade_views=False)
     request = RenderRequest(shell_frame(2000, seed=3), small_camera(1), changed, DisplaySettings(LAYERS))
-    truth = reference(request)
     for name in RENDERERS:
+        # The sorted renderer composites all layers, and behind points that fade, there are more than LAYERS.
+        truth = reference(request, layers=64 if name == "sorted" else LAYERS)
         require_parity(name, render(make(name), request, context), truth)
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.baking import SceneReader
+from fourd.baking import SceneReader, SceneWriter
 from fourd.baking.files.encoding import Tier
 from fourd.baking.player import Player
 from fourd.viewer.publish.site import SCENE_NAME, write_site
-from tests.baking.scenes import write_scene
+from tests.baking.scenes import NEAR_IN_BALL, manifest, random_frame, write_scene
 from tests.viewer.web.conftest import serving
 from tests.viewer.web.page import PlayerPage
 
@@ -73,6 +73,19 @@ def test_discs_that_are_too_large_for_sprites(object_site: Path, open_page: Call
         for mode in ("sorted", "reference"):
             got, expected = images(page, object_site / SCENE_NAME, 0, mode)
             assert psnr(got, expected) >= MIN_PSNR[mode]
+
+
+@pytest.mark.parametrize("mode", ["sorted", "reference"])
+def test_points_fade_at_the_near_plane(mode: str, tmp_path: Path, open_page: Callable[..., PlayerPage]) -> None:
+    """Catches a page that cuts points off where the other players fade them."""
+    with SceneWriter(tmp_path / "scene.4dv", replace(manifest(6, 1), near=NEAR_IN_BALL)) as writer:
+        writer.add_frame(0, random_frame(4000, 6, seed=1))
+    write_site(tmp_path / "scene.4dv", tmp_path / "site", "full")
+    with serving(tmp_path / "site") as server:
+        page = open_page(server.url, (SIZE, SIZE))
+        got, expected = images(page, tmp_path / "site" / SCENE_NAME, 0, mode)
+    assert expected.std() > 20
+    assert psnr(got, expected) >= MIN_PSNR[mode]
 
 
 @pytest.mark.parametrize("tier", ["stream", "video", "light"])

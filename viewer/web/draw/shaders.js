@@ -79,6 +79,7 @@ uniform vec3 rotation_z;
 uniform vec3 translation;
 uniform vec3 camera_centre;
 uniform float near;
+const float FADE_SHARE = 0.5;  // Depth over which points fade, as a fraction of the depth of the near plane.
 
 uniform int blended_layers[${MAX_BLENDED}];
 uniform float view_weights[${MAX_BLENDED}];
@@ -149,10 +150,12 @@ void main() {
   vec4 scale = radius_density[cloud];
   float code = float(size & 0xffffu);
   float radius = code > 0.5 ? scale.x * exp2((code - 1.0) / scale.y) : 0.0;
-  float density = float(size >> 16u) / scale.z;
+  float density = min(float(size >> 16u) / scale.z, 1.0);
   vec3 p = vec3(affine(rotation_x, world, translation.x), affine(rotation_y, world, translation.y),
                 affine(rotation_z, world, translation.z));
   float rho = intrinsics_y.y * radius / p.z;
+  // Points fade at the near plane (fourd/ops/play/near_fade.py).
+  density *= clamp((p.z - near) / (FADE_SHARE * near), 0.0, 1.0);
   gl_Position = vec4(0.0);
   gl_PointSize = 1.0;
   if (!(p.z >= near && density > 0.0 && rho > 0.0 && rho < 1e18)) {
@@ -165,7 +168,7 @@ void main() {
   vec3 ray = world - camera_centre;
   vec3 direction = ray / max(length(ray), 1e-12);
   vec3 view_dependent = sh_base + sh_range * tanh(spherical_harmonics(index, direction));
-  paint = vec4(blend_source_views(index, cloud) + view_dependent, min(density, 1.0));
+  paint = vec4(blend_source_views(index, cloud) + view_dependent, density);
 }
 `;
 

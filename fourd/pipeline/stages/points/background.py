@@ -64,6 +64,7 @@ class BackgroundSettings:
     radiance: RadianceConfig
     seed: int
     colours: bool | None = None
+    near: float | None = None
 
     @classmethod
     def of(cls, train: TrainConfig) -> BackgroundSettings:
@@ -76,6 +77,7 @@ class BackgroundSettings:
             config.radiance,
             train.seed,
             train.refine.colours,
+            train.near,
         )
 
 
@@ -118,7 +120,7 @@ def run_background(files: BackgroundFiles, settings: BackgroundSettings, context
     else:
         stereo = reconstruct_surfaces(plates, settings.seed, context.workers, context.track)
         near = feature_near(stereo.feature_depths)
-        points = _find_points(plates, stereo, settings, context)
+        points = _find_points(plates, stereo, settings, near, context)
         points = _add_shell(points, [plate.camera for plate in plates], context)
         points = _fill_holes(points, plates, near or fallback_near(cameras), context)
     write_static_near(files.run, near)
@@ -175,13 +177,21 @@ def _log_unstable(shares: dict[str, float], log: Log) -> None:
 
 
 def _find_points(
-    plates: tuple[PlateView, ...], stereo: StereoResult, settings: BackgroundSettings, context: Context
+    plates: tuple[PlateView, ...],
+    stereo: StereoResult,
+    settings: BackgroundSettings,
+    near: float | None,
+    context: Context,
 ) -> ColouredPoints:
-    """Compute points on the surfaces that the plates show. The settings select the method."""
+    """Compute points on the surfaces that the plates show. The settings select the method. ``near`` is the depth of the
+    near plane of the static surfaces, unless the settings contain one."""
     count, seed, log = settings.points, settings.seed, context.log
     if settings.seeding == "sfm":
         return seed_from_stereo(plates, stereo, count, seed=seed, log=log)
-    return seed_from_radiance(plates, stereo, count, settings.radiance, seed=seed, log=log, track=context.track)
+    near = near if settings.near is None else settings.near
+    return seed_from_radiance(
+        plates, stereo, count, settings.radiance, near=near, seed=seed, log=log, track=context.track
+    )
 
 
 def _read_seeds(path: Path, count: int, seed: int) -> ColouredPoints:
