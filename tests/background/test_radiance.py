@@ -321,6 +321,27 @@ def test_too_few_confirmed_depths_are_an_error(reduced: list[ReducedPlate]) -> N
     assert "too few depths to supervise the field" in lines[1]
 
 
+def test_the_field_is_fitted_from_the_near_plane(reduced: list[ReducedPlate], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a near plane that is not passed on to the rays of the field."""
+
+    class _Stop(Exception):
+        pass
+
+    spans: list[RayRange] = []
+
+    def record(pixels: Pixels, *_: object) -> OptimizedField:
+        spans.append(pixels.span)
+        raise _Stop
+
+    monkeypatch.setattr("fourd.background.radiance.from_radiance.optimize_field", record)
+    radius = space_of(reduced).radius
+    stereo = StereoResult(20, 20, reduced, [true_surface(plate) for plate in reduced])
+    for near in (None, 0.2 * radius):
+        with pytest.raises(_Stop):
+            seed_from_radiance(plates_of(reduced), stereo, 100, SMALL, near=near)
+    assert [span.near for span in spans] == pytest.approx([NEAR, 0.2])
+
+
 @pytest.mark.parametrize(("count", "points"), [(1, 10), (3, 0)])
 def test_invalid_arguments(reduced: list[ReducedPlate], count: int, points: int) -> None:
     """Catches invalid arguments without an error that names the expected values."""
