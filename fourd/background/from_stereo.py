@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fourd.background.plates import PlateView
-from fourd.background.stereo.colouring import sample_coloured_points
-from fourd.background.stereo.completion import complete_surfaces
-from fourd.background.stereo.depth_maps import MIN_FEATURES, StereoResult
 from fourd.errors import UserError
 from fourd.formats.ply import ColouredPoints
 from fourd.progress import Log
+from fourd.stereo.colouring import sample_coloured_points
+from fourd.stereo.completion import complete_surfaces
+from fourd.stereo.depth_maps import MIN_FEATURES, StereoResult
 
 MIN_SHARE = 0.1
 """Minimum fraction of depth-map cells with a measured depth, among all cells outside the plates' holes (areas that do
@@ -39,7 +39,7 @@ def seed_from_stereo(
 
     Args:
         plates: clean plates of at least two cameras.
-        stereo: result of :func:`~fourd.background.stereo.depth_maps.reconstruct_surfaces` on the plates.
+        stereo: result of :func:`~fourd.stereo.depth_maps.reconstruct_surfaces` on the plates.
         points: requested number of points, at least 1. If the plates show the background at few pixels, the result has
             fewer points than requested.
         fill: whether to extrapolate depth into areas where stereo finds no match.

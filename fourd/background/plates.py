@@ -19,6 +19,7 @@ from fourd.capture.layout import find_pictures
 from fourd.errors import UserError, command_line
 from fourd.matting.plates import FOLDER
 from fourd.progress import Log
+from fourd.stereo.view import StereoView
 
 Picture = NDArray[np.uint8]
 
@@ -30,21 +31,9 @@ MIN_CAMERAS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class PlateView:
-    """Image of the background as one camera sees it without the subject.
-
-    Attributes:
-        name: name of the camera.
-        camera: pinhole camera of the undistorted plate.
-        rgb: (H, W, 3) uint8 colours; undefined in holes, where the plate does not show the background.
-        seen: (H, W) bool, true where the background is visible, and false in holes and outside the lens's field of
-            view.
-    """
-
-    name: str
-    camera: Camera
-    rgb: Picture
-    seen: NDArray[np.bool_]
+class PlateView(StereoView):
+    """Image of the background as one camera sees it without the subject. Where the plate does not show the background,
+    ``seen`` is false."""
 
 
 def has_plate(path: Path, name: str) -> bool:

@@ -17,7 +17,14 @@ import pycolmap
 from numpy.typing import NDArray
 
 from fourd.background.plates import PlateView
-from fourd.background.stereo.features import (
+from fourd.bundle_adjustment.solver import Prior, reprojection_errors_px, solve
+from fourd.bundle_adjustment.tracks import FrameMatches, Observations, build_tracks, triangulate_points
+from fourd.cameras import Camera
+from fourd.capture.layout import sample_indices
+from fourd.carving.mask_source import MaskSource
+from fourd.parallel import core_count
+from fourd.progress import Track
+from fourd.stereo.features import (
     Features,
     QuietColmap,
     extract_features,
@@ -26,13 +33,6 @@ from fourd.background.stereo.features import (
     read_features,
     write_pictures,
 )
-from fourd.bundle_adjustment.solver import Prior, reprojection_errors_px, solve
-from fourd.bundle_adjustment.tracks import FrameMatches, Observations, build_tracks, triangulate_points
-from fourd.cameras import Camera
-from fourd.capture.layout import sample_indices
-from fourd.carving.mask_source import MaskSource
-from fourd.parallel import core_count
-from fourd.progress import Track
 
 MAX_FRAMES = 2
 MIN_FEATURES = 20

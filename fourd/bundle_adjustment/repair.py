@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.background.shell import viewing_centre
-from fourd.background.stereo.features import Features
 from fourd.bundle_adjustment.adjust import adjust_to_matches
 from fourd.bundle_adjustment.solver import Prior
 from fourd.bundle_adjustment.tracks import FrameMatches
@@ -25,6 +24,7 @@ from fourd.calibration.matching import Matches, undistort_points
 from fourd.calibration.principal_points import MAX_COMBINATIONS, choose_principal_points
 from fourd.calibration.residuals import Pair, compute_residuals
 from fourd.cameras import Camera
+from fourd.stereo.features import Features
 
 Feature = tuple[int, int]
 """Index of a camera, and index of a feature in the camera's image."""

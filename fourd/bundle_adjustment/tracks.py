@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from fourd.background.stereo.features import Features, fundamental_matrix
 from fourd.cameras import Camera
+from fourd.stereo.features import Features, fundamental_matrix
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -21,12 +21,12 @@ from fourd.background.radiance.rays import MAX_NEAR, NEAR, RayRange, Rays, camer
 from fourd.background.radiance.room_depth import Room as RoomShape
 from fourd.background.radiance.volume_rendering import distortion_loss, rendering_weights, weight_quantile
 from fourd.background.shell import viewing_centre
-from fourd.background.stereo.depth_maps import ReducedPlate, StereoResult, reconstruct_surfaces
-from fourd.background.stereo.fusion import Surface
-from fourd.background.stereo.patchmatch import DepthMap
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.progress import untracked
+from fourd.stereo.depth_maps import ReducedPlate, StereoResult, reconstruct_surfaces
+from fourd.stereo.fusion import Surface
+from fourd.stereo.patchmatch import DepthMap
 from tests.calibration.rooms import Room, room_cameras, room_depth
 
 SMALL = RadianceConfig(

@@ -17,10 +17,10 @@ from torch import Tensor
 from fourd.background.radiance.optimization import OptimizedField
 from fourd.background.radiance.rays import camera_rays
 from fourd.background.radiance.volume_rendering import weight_quantile
-from fourd.background.stereo.depth_maps import ReducedPlate
-from fourd.background.stereo.fusion import Surface, count_agreement
-from fourd.background.stereo.patchmatch import DepthMap
 from fourd.progress import Track
+from fourd.stereo.depth_maps import ReducedPlate
+from fourd.stereo.fusion import Surface, count_agreement
+from fourd.stereo.patchmatch import DepthMap
 
 Array = NDArray[np.float64]
 

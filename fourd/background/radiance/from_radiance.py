@@ -17,15 +17,15 @@ from fourd.background.radiance.pixels import Pixels
 from fourd.background.radiance.rays import RayRange
 from fourd.background.radiance.room_depth import Room
 from fourd.background.shell import viewing_centre
-from fourd.background.stereo.colouring import sample_coloured_points
-from fourd.background.stereo.completion import complete_surfaces
-from fourd.background.stereo.depth_maps import MIN_FEATURES, StereoResult
-from fourd.background.stereo.fusion import Surface
-from fourd.background.stereo.guidance import complete_with_guidance
-from fourd.background.stereo.patches import GreyView
 from fourd.errors import UserError
 from fourd.formats.ply import ColouredPoints
 from fourd.progress import Log, Track, untracked
+from fourd.stereo.colouring import sample_coloured_points
+from fourd.stereo.completion import complete_surfaces
+from fourd.stereo.depth_maps import MIN_FEATURES, StereoResult
+from fourd.stereo.fusion import Surface
+from fourd.stereo.guidance import complete_with_guidance
+from fourd.stereo.patches import GreyView
 
 Array = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ def seed_from_radiance(
 ) -> ColouredPoints:
     """Create coloured points of a static background. The points are evenly spread over the plates' images.
 
-    Stereo measures depths where two plates match (:mod:`fourd.background.stereo`); elsewhere, depths are extrapolated.
+    Stereo measures depths where two plates match (:mod:`fourd.stereo`); elsewhere, depths are extrapolated.
     A radiance field (Mueller et al. 2022) is then optimised on the plates' colours and on these depths. The depths are
     needed, because colours alone do not determine the geometry if the cameras are 20 degrees apart: the field would fit
     each plate with structures that only this plate's camera sees. In depth-map cells without stereo depth, the field's
@@ -61,7 +61,7 @@ def seed_from_radiance(
 
     Args:
         plates: clean plates of at least two cameras.
-        stereo: result of :func:`~fourd.background.stereo.depth_maps.reconstruct_surfaces` on the plates.
+        stereo: result of :func:`~fourd.stereo.depth_maps.reconstruct_surfaces` on the plates.
         points: requested number of points, at least 1. If the plates have few visible pixels, the result has fewer
             points than requested.
         config: settings of the radiance field.

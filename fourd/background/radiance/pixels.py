@@ -16,9 +16,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from fourd.background.radiance.rays import RayRange, Rays, ray_matrix
-from fourd.background.stereo.depth_maps import ReducedPlate
-from fourd.background.stereo.fusion import Surface
-from fourd.background.stereo.patches import index_intrinsics
+from fourd.stereo.depth_maps import ReducedPlate
+from fourd.stereo.fusion import Surface
+from fourd.stereo.patches import index_intrinsics
 
 MIN_INVERSE_RATIO = 0.5
 """Minimum ratio of the inverse depth at a pixel to the inverse depth at the centre of its cell. If the ratio is lower,

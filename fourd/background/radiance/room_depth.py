@@ -19,9 +19,9 @@ from fourd.background.directions import (
     extrapolate_distances,
     summarize_cells,
 )
-from fourd.background.stereo.fusion import Surface
-from fourd.background.stereo.patches import index_intrinsics
 from fourd.cameras import Camera
+from fourd.stereo.fusion import Surface
+from fourd.stereo.patches import index_intrinsics
 
 Array = NDArray[np.float64]
 

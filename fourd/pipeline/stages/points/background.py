@@ -18,7 +18,6 @@ from fourd.background.plates import PlateView
 from fourd.background.radiance.config import RadianceConfig
 from fourd.background.radiance.from_radiance import seed_from_radiance
 from fourd.background.shell import build_shell, direction_coverage, viewing_centre
-from fourd.background.stereo.depth_maps import StereoResult, reconstruct_surfaces
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.formats.ply import ColouredPoints, read_ply, write_ply
@@ -26,6 +25,7 @@ from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.plates import MATTE_PATTERNS, PLATE_PATTERNS
 from fourd.progress import Log
+from fourd.stereo.depth_maps import StereoResult, reconstruct_surfaces
 from fourd.training.cameras.measured_colours import MeasuredColours, corrects_colours, read_measured_colours
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.config import TrainConfig

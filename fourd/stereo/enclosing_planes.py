@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.background.stereo.patches import Grid
-from fourd.background.stereo.plane_hypotheses import find_large_planes, plane_in_view
 from fourd.cameras import Camera
+from fourd.stereo.patches import Grid
+from fourd.stereo.plane_hypotheses import find_large_planes, plane_in_view
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

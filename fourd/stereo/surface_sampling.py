@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.background.stereo.fusion import Surface
+from fourd.stereo.fusion import Surface
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

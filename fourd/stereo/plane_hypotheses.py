@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, KDTree, QhullError
 
-from fourd.background.stereo.patches import Floats, Grid, index_intrinsics
 from fourd.cameras import Camera
+from fourd.stereo.patches import Floats, Grid, index_intrinsics
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from fourd.background.stereo.patches import index_intrinsics
-from fourd.background.stereo.patchmatch import DepthMap
 from fourd.cameras import Camera
+from fourd.stereo.patches import index_intrinsics
+from fourd.stereo.patchmatch import DepthMap
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -13,8 +13,8 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from fourd.background.plates import PlateView
 from fourd.cameras import Camera
+from fourd.stereo.view import StereoView
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ def pairs_to_match(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
     ]
 
 
-def write_pictures(folder: Path, plates: Sequence[PlateView]) -> list[str]:
+def write_pictures(folder: Path, plates: Sequence[StereoView]) -> list[str]:
     """Write the plates, and masks of their visible areas, for COLMAP. Returns the file names in the order of the
     plates."""
     images, masks = folder / IMAGES, folder / MASKS

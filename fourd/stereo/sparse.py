@@ -14,8 +14,10 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from fourd.background.plates import PlateView
-from fourd.background.stereo.features import (
+from fourd.cameras import Camera
+from fourd.parallel import core_count
+from fourd.progress import Track
+from fourd.stereo.features import (
     IMAGES,
     Features,
     QuietColmap,
@@ -25,9 +27,7 @@ from fourd.background.stereo.features import (
     read_features,
     write_pictures,
 )
-from fourd.cameras import Camera
-from fourd.parallel import core_count
-from fourd.progress import Track
+from fourd.stereo.view import StereoView
 
 Array = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ class SparsePoints:
         return self.seen.sum(axis=1) >= 3
 
 
-def triangulate_sparse(plates: Sequence[PlateView], seed: int, track: Track) -> SparsePoints:
+def triangulate_sparse(plates: Sequence[StereoView], seed: int, track: Track) -> SparsePoints:
     """Triangulate features of two or more plates.
 
     Points with a triangulation angle below 2 degrees or a reprojection error above 2 px are dropped.

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.background.stereo.completion import (
+from fourd.stereo.completion import (
     interpolate_inverse_depths,
     project_inverse_depths,
     remove_occluding,
     with_completed_depths,
 )
-from fourd.background.stereo.fusion import Surface
-from fourd.background.stereo.patches import Floats, GreyView
+from fourd.stereo.fusion import Surface
+from fourd.stereo.patches import Floats, GreyView
 
 Array = NDArray[np.float64]
 

@@ -7,18 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.background.plates import PlateView
-from fourd.background.stereo.depth_maps import ReducedPlate
-from fourd.background.stereo.fusion import Surface
-from fourd.background.stereo.surface_sampling import Samples, sample_surfaces
 from fourd.cameras import Camera
 from fourd.formats.ply import ColouredPoints
+from fourd.stereo.depth_maps import ReducedPlate
+from fourd.stereo.fusion import Surface
+from fourd.stereo.surface_sampling import Samples, sample_surfaces
+from fourd.stereo.view import StereoView
 
 Array = NDArray[np.float64]
 
 
 def sample_coloured_points(
-    plates: Sequence[PlateView], reduced: Sequence[ReducedPlate], surfaces: Sequence[Surface], points: int, seed: int
+    plates: Sequence[StereoView], reduced: Sequence[ReducedPlate], surfaces: Sequence[Surface], points: int, seed: int
 ) -> tuple[ColouredPoints, list[NDArray[np.intp]]]:
     """Sample coloured points on surfaces such that they are evenly spread over the plates' images.
 
@@ -42,7 +42,7 @@ def sample_coloured_points(
     return ColouredPoints(found.xyz[order], found.rgb[order]), cells
 
 
-def _plate_pixels(xy: Array, camera: Camera, plate: PlateView) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _plate_pixels(xy: Array, camera: Camera, plate: StereoView) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Convert positions (M, 2) in the reduced plate to rows and columns (M,) of pixels in the full-size plate."""
     height, width = plate.seen.shape
     positions = xy * (width / camera.width, height / camera.height)
@@ -51,7 +51,7 @@ def _plate_pixels(xy: Array, camera: Camera, plate: PlateView) -> tuple[NDArray[
 
 
 def _fuse_colours(
-    plates: Sequence[PlateView], surfaces: Sequence[Surface], samples: Sequence[Samples]
+    plates: Sequence[StereoView], surfaces: Sequence[Surface], samples: Sequence[Samples]
 ) -> ColouredPoints:
     """Average the position and the colour of each sample over all surfaces that agree with its depth.
 

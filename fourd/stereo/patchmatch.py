@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.background.stereo.patches import UNKNOWN_SCORE, Floats, GreyView, Grid, PatchSimilarity, index_intrinsics
+from fourd.stereo.patches import UNKNOWN_SCORE, Floats, GreyView, Grid, PatchSimilarity, index_intrinsics
 
 Array = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import spsolve
 
-from fourd.background.stereo.enclosing_planes import EnclosingPlanes
-from fourd.background.stereo.fusion import Surface
-from fourd.background.stereo.patches import Floats, GreyView
-from fourd.background.stereo.patchmatch import DepthMap
+from fourd.stereo.enclosing_planes import EnclosingPlanes
+from fourd.stereo.fusion import Surface
+from fourd.stereo.patches import Floats, GreyView
+from fourd.stereo.patchmatch import DepthMap
 
 Array = NDArray[np.float64]
 

@@ -13,16 +13,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.background.plates import PlateView
-from fourd.background.stereo.fusion import Surface, fuse_depth_maps
-from fourd.background.stereo.patches import Floats, GreyView, Grid
-from fourd.background.stereo.patchmatch import DepthMap, estimate_depth_map
-from fourd.background.stereo.plane_hypotheses import find_large_planes, plane_in_view, triangle_planes
-from fourd.background.stereo.source_selection import select_sources
-from fourd.background.stereo.sparse import SparsePoints, triangulate_sparse
 from fourd.cameras import Camera
 from fourd.parallel import run_jobs
 from fourd.progress import Track
+from fourd.stereo.fusion import Surface, fuse_depth_maps
+from fourd.stereo.patches import Floats, GreyView, Grid
+from fourd.stereo.patchmatch import DepthMap, estimate_depth_map
+from fourd.stereo.plane_hypotheses import find_large_planes, plane_in_view, triangle_planes
+from fourd.stereo.source_selection import select_sources
+from fourd.stereo.sparse import SparsePoints, triangulate_sparse
+from fourd.stereo.view import StereoView
 
 Array = NDArray[np.float64]
 
@@ -75,7 +75,7 @@ class StereoResult:
         return self.measured_cells / self.visible_cells
 
 
-def reconstruct_surfaces(plates: Sequence[PlateView], seed: int, workers: int, track: Track) -> StereoResult:
+def reconstruct_surfaces(plates: Sequence[StereoView], seed: int, workers: int, track: Track) -> StereoResult:
     """Triangulate features, estimate a depth map of each plate, and keep depths that are consistent across plates."""
     features = triangulate_sparse(plates, seed, track)
     reduced = [ReducedPlate.from_plate(plate) for plate in plates]
@@ -108,7 +108,7 @@ class ReducedPlate:
     seen: NDArray[np.bool_]
 
     @staticmethod
-    def from_plate(plate: PlateView) -> ReducedPlate:
+    def from_plate(plate: StereoView) -> ReducedPlate:
         """Reduce a plate to the size used for stereo."""
         scale = min(1.0, MAX_SIDE_PX / max(plate.camera.width, plate.camera.height))
         camera = plate.camera.rescale(scale)
