@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fourd.background.plates import PlateView
+from fourd.background.surfaces.colouring import sample_coloured_points
+from fourd.background.surfaces.completion import complete_surfaces
 from fourd.errors import UserError
 from fourd.formats.ply import ColouredPoints
 from fourd.progress import Log
-from fourd.stereo.colouring import sample_coloured_points
-from fourd.stereo.completion import complete_surfaces
 from fourd.stereo.depth_maps import MIN_FEATURES, StereoResult
 
 MIN_SHARE = 0.1

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from fourd.background.directions import DirectionGrid
+from fourd.stereo.directions import DirectionGrid
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

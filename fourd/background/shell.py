@@ -12,7 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filter, maximum_filter1d
 
-from fourd.background.directions import (
+from fourd.background.height_profile import height_profile
+from fourd.cameras import Camera
+from fourd.formats.ply import ColouredPoints
+from fourd.progress import Track, untracked
+from fourd.stereo.directions import (
     CELL_DEG,
     ROWS_PER_DEGREE,
     DirectionGrid,
@@ -21,10 +25,6 @@ from fourd.background.directions import (
     interpolate_harmonic,
     summarize_cells,
 )
-from fourd.background.height_profile import height_profile
-from fourd.cameras import Camera
-from fourd.formats.ply import ColouredPoints
-from fourd.progress import Track, untracked
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -1,1 +1,1 @@
-"""Multi-view stereo for images with known cameras: estimation, fusion and completion of depth maps."""
+"""Multi-view stereo for images with known cameras: features, depth maps and their fusion."""

@@ -17,14 +17,14 @@ from fourd.background.radiance.pixels import Pixels
 from fourd.background.radiance.rays import RayRange
 from fourd.background.radiance.room_depth import Room
 from fourd.background.shell import viewing_centre
+from fourd.background.surfaces.colouring import sample_coloured_points
+from fourd.background.surfaces.completion import complete_surfaces
+from fourd.background.surfaces.guidance import complete_with_guidance
 from fourd.errors import UserError
 from fourd.formats.ply import ColouredPoints
 from fourd.progress import Log, Track, untracked
-from fourd.stereo.colouring import sample_coloured_points
-from fourd.stereo.completion import complete_surfaces
 from fourd.stereo.depth_maps import MIN_FEATURES, StereoResult
 from fourd.stereo.fusion import Surface
-from fourd.stereo.guidance import complete_with_guidance
 from fourd.stereo.patches import GreyView
 
 Array = NDArray[np.float64]

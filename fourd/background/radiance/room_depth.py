@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.background.directions import (
+from fourd.cameras import Camera
+from fourd.stereo.directions import (
     ROWS_PER_DEGREE,
     DirectionGrid,
     direction_grid,
     extrapolate_distances,
     summarize_cells,
 )
-from fourd.cameras import Camera
 from fourd.stereo.fusion import Surface
 from fourd.stereo.patches import index_intrinsics
 

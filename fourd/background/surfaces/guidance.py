@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.stereo.completion import (
+from fourd.background.surfaces.completion import (
     interpolate_inverse_depths,
     project_inverse_depths,
     remove_occluding,

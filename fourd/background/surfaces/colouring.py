@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.background.surfaces.surface_sampling import Samples, sample_surfaces
 from fourd.cameras import Camera
 from fourd.formats.ply import ColouredPoints
 from fourd.stereo.depth_maps import ReducedPlate
 from fourd.stereo.fusion import Surface
-from fourd.stereo.surface_sampling import Samples, sample_surfaces
 from fourd.stereo.view import StereoView
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import spsolve
 
-from fourd.stereo.enclosing_planes import EnclosingPlanes
+from fourd.background.surfaces.enclosing_planes import EnclosingPlanes
 from fourd.stereo.fusion import Surface
 from fourd.stereo.patches import Floats, GreyView
 from fourd.stereo.patchmatch import DepthMap
