@@ -154,7 +154,7 @@ class _Check:
             frames = sort_frames(set().union(*(found for found in images.values() if found)))
             self.warnings += describe_gaps(images_folder, frames)
         self.is_alpha = bool(self._try(alpha_is_matte, self.path))
-        masks = {name: self._try(list_masks, masks_folder / name, frames) for name in names if not self.is_alpha}
+        masks = self._list_masks(masks_folder, names, frames)
         has_masks = self.is_alpha or any(masks.values())
         for name, found in images.items():
             self._check_folder(images_folder / name, found, frames)
@@ -218,6 +218,15 @@ class _Check:
         """Return the folder of the user's mattes, or the folder of the generated mattes if the user has none."""
         has_own = bool(camera_folders(self.path / "masks")) or not (self.path / MATTES).is_dir()
         return self.path / ("masks" if has_own else MATTES)
+
+    def _list_masks(
+        self, folder: Path, names: Sequence[str], frames: Sequence[str]
+    ) -> dict[str, dict[str, str] | None]:
+        """List the mattes of each camera. Generated mattes of only some frames count as none, because fourd makes those
+        that it needs."""
+        masks = {name: self._try(list_masks, folder / name, frames) for name in names if not self.is_alpha}
+        is_complete = all(set(frames) <= set(found or {}) for found in masks.values())
+        return masks if folder != self.path / MATTES or is_complete else {}
 
     def _camera_names(self, calibration: CalibrationReport, has_videos: bool) -> list[str]:
         folder = VIDEOS if has_videos else "images"

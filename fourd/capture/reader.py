@@ -219,6 +219,7 @@ def open_capture(
     cache_mb: int = 256,
     cache_frames: int = 0,
     mattes: bool = True,
+    partial_mattes: bool = False,
 ) -> Capture:
     """Open a capture in the EasyMocap layout: images/CAM/FRAME.jpg or .png, masks/CAM/FRAME.png, intri.yml, extri.yml.
 
@@ -234,8 +235,8 @@ def open_capture(
         scale: factor in (0, 4] by which images are resized.
         cache_mb: size of the cache of decoded images in MiB.
         cache_frames: number of frames, with one image per camera, that the cache can hold in addition to ``cache_mb``.
-        mattes: whether to open mattes. A camera needs none, but if it has masks, it must have them for all selected
-            frames.
+        mattes: whether to open mattes. A camera needs none, but if it has masks, it must have those of all frames.
+        partial_mattes: whether generated mattes that lack some of the selected frames count as no mattes.
 
     Raises:
         UserError: if files are missing or inconsistent, or the selection is empty.
@@ -261,14 +262,13 @@ def open_capture(
         chosen = [all_frames[number] for number in selected]
         footage = [_open_video(videos[name], selected) for name in names]
     if mattes:
-        own = open_masks(path, all_frames)
+        own = open_masks(path, all_frames, partial_mattes)
         footage = [
             replace(of, mattes=open_mattes(path, name, of.images, own, chosen))
             for name, of in zip(names, footage, strict=True)
         ]
     cameras = [_to_camera(path, name, calibrations[name], of) for name, of in zip(names, footage, strict=True)]
-    count = len(all_frames)
-    fps = None if rate is None else float(rate / selected.step)
+    fps, count = None if rate is None else float(rate / selected.step), len(all_frames)
     return Capture(path, names, cameras, footage, chosen, list(selected), count, scale, cache_mb, cache_frames, fps)
 
 

@@ -41,7 +41,7 @@ def find_foreign_mattes(path: Path | str, track: Track = untracked) -> list[str]
     Raises:
         UserError: if the capture cannot be opened, or an image cannot be decoded.
     """
-    with open_capture(path) as opened:
+    with open_capture(path, partial_mattes=True) as opened:
         # If the user provided masks of some cameras, the mattes of the others are only as exact as a visual hull.
         own = [index for index in opened.masked if index not in opened.generated]
         capture = opened.select(own or opened.masked)

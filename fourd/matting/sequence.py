@@ -25,13 +25,14 @@ from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, parse_
 from fourd.matting.mask_files import find_masks, read_mask
 from fourd.matting.motion.mattes import matting_cameras, refine_background
 from fourd.matting.motion.paint import Paint, read_strokes
-from fourd.matting.motion.sampling import sample_capture
+from fourd.matting.motion.sampling import learning_frames, sample_capture
 from fourd.matting.motion.saved_model import load_matte_maker, save_subject
 from fourd.matting.motion.subject import learn_subject
 from fourd.matting.onnx_network import OnnxNetwork, load_onnx
 from fourd.matting.output import SHEET, VERSION, MatteOutput, MatteState
 from fourd.matting.rvm import RVM, load_rvm
 from fourd.matting.selection import Selection
+from fourd.matting.solid.moments import reconstruct_moments
 from fourd.parallel import run_jobs, split_into_blocks
 from fourd.progress import Track
 
@@ -134,7 +135,7 @@ def _make_modelled_mattes(
     else:
         model = output.model
         if not model.exists():
-            _learn_subject_model(capture, settings, model, track)
+            _learn_subject_model(capture, settings, model, workers, track)
     folder = output.start()
     jobs = [
         _Job(recording, model, folder, tuple(block), settings.paint)
@@ -223,10 +224,12 @@ def _versions(paths: Sequence[Path]) -> Iterator[str]:
             yield f"{path.name} {status.st_size} {status.st_mtime_ns}"
 
 
-def _learn_subject_model(capture: Capture, settings: MatteSettings, path: Path, track: Track) -> None:
+def _learn_subject_model(capture: Capture, settings: MatteSettings, path: Path, workers: int, track: Track) -> None:
     """Learn the models of the subject and of each camera's background, and write them to ``path``."""
     samples = sample_capture(capture, track)
-    subject = learn_subject(samples, capture.names, settings.seed, track)
+    frames = learning_frames(capture.frame_count, len(capture.cameras))
+    moments = reconstruct_moments(capture, frames, settings.seed, workers, track)
+    subject = learn_subject(samples, capture.names, settings.seed, track, moments)
     cameras = matting_cameras(capture)
     numbers = range(len(cameras))
     backgrounds = [

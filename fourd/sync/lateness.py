@@ -38,7 +38,7 @@ def find_late_cameras(path: Path | str, track: Track = untracked) -> list[str]:
     Raises:
         UserError: if the capture cannot be opened, or an image cannot be decoded.
     """
-    with open_capture(path) as capture:
+    with open_capture(path, mattes=False) as capture:
         names, total = capture.names, capture.frame_count
         widest = max(camera.width for camera in capture.cameras)
     if total < MIN_FRAMES or len(names) < 3:
@@ -46,7 +46,7 @@ def find_late_cameras(path: Path | str, track: Track = untracked) -> list[str]:
     count = min(total, MAX_FRAMES)
     first = (total - count) // 2
     energies = []
-    with open_capture(path, scale=min(1.0, WIDTH_PX / widest)) as capture:
+    with open_capture(path, mattes=False, scale=min(1.0, WIDTH_PX / widest)) as capture:
         for index, name in enumerate(names):
             numbers = track(range(first, first + count), count, f"motion of {name}")
             energies.append(

@@ -10,8 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
+from fourd.calibration.checks.agreement import match_capture
 from fourd.capture import Capture, open_capture
+from fourd.capture.check import check_capture
 from fourd.errors import UserError
+from fourd.matting.contours import find_foreign_mattes
 from fourd.matting.output import MODEL_NAME, SHEET
 from fourd.matting.selection import CACHE_FRAMES, Selection
 from fourd.matting.sequence import MATTES, MatteSettings, make_mattes
@@ -73,6 +76,18 @@ def test_only_missing_files_are_made_again(made: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_mattes_of_some_frames_are_no_problem(made: Path, tmp_path: Path) -> None:
+    """Catches a capture that cannot be used any more after `fourd matte --frames`, because its other frames have no
+    mattes."""
+    capture = shutil.copytree(made, tmp_path / "capture")
+    (capture / MATTES / "03" / "000004.png").unlink()
+    report = check_capture(capture)
+    assert report.problems == ()
+    assert not report.has_masks
+    assert find_foreign_mattes(capture) == []
+    assert len(match_capture(capture).cameras) == 8
+
+
 def test_two_processes_make_the_same_bytes(made: Path, tmp_path: Path) -> None:
     """Catches mattes that depend on how the frames are distributed over processes."""
     before = contents(made)

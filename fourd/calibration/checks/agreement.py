@@ -120,10 +120,10 @@ def match_capture(path: Path | str, track: Track | None = None) -> CaptureMatche
     Raises:
         UserError: if the capture cannot be opened; see :func:`fourd.capture.open_capture`.
     """
-    with open_capture(path) as whole:
+    with open_capture(path, mattes=False) as whole:
         largest = max(camera.width * camera.height for camera in whole.cameras)
         max_pixels = min(MAX_PICTURE_PIXELS, MAX_FRAME_PIXELS / len(whole.cameras))
-    with open_capture(path, scale=min(1.0, float(np.sqrt(max_pixels / largest)))) as capture:
+    with open_capture(path, mattes=False, scale=min(1.0, float(np.sqrt(max_pixels / largest)))) as capture:
         has_few = len(capture.cameras) <= FEW_CAMERAS
         frames = sample_indices(capture.frame_count, FEW_CAMERAS_FRAMES) if has_few else [capture.frame_count // 2]
         pictures = [[capture.image(camera, frame) for camera in range(len(capture.cameras))] for frame in frames]

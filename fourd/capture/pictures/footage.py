@@ -64,11 +64,13 @@ class OwnMattes:
         is_alpha: whether the alpha channels of the images are the mattes; see
             :func:`~fourd.capture.pictures.alpha.alpha_is_matte`.
         frames: names of all frames of the capture.
+        partial: whether generated mattes that lack frames count as no mattes.
     """
 
     folder: MaskFolder
     is_alpha: bool
     frames: Sequence[str]
+    partial: bool
 
     @property
     def exist(self) -> bool:
@@ -76,9 +78,9 @@ class OwnMattes:
         return self.is_alpha or bool(camera_folders(self.folder.folder))
 
 
-def open_masks(path: Path, frames: Sequence[str]) -> OwnMattes:
+def open_masks(path: Path, frames: Sequence[str], partial: bool) -> OwnMattes:
     """Find the user's mattes of the capture ``path``, which has the frames ``frames``."""
-    return OwnMattes(MaskFolder(path / "masks"), alpha_is_matte(path), frames)
+    return OwnMattes(MaskFolder(path / "masks"), alpha_is_matte(path), frames, partial)
 
 
 def open_mattes(path: Path, name: str, images: CameraFrames, masks: OwnMattes, chosen: Sequence[str]) -> Mattes | None:
@@ -103,7 +105,7 @@ def open_mattes(path: Path, name: str, images: CameraFrames, masks: OwnMattes, c
     if not files:
         return None
     if missing_frame_error(generated, files, chosen) is not None:
-        if masks.exist:
+        if masks.exist or masks.partial:
             return None
         count = sum(frame in files for frame in chosen)
         raise UserError(

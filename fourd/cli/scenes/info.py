@@ -329,7 +329,7 @@ def _capture(path: Path) -> Rows:
     if calibrated and (folders or videos):
         from fourd.capture import open_capture
 
-        with open_capture(path) as capture:
+        with open_capture(path, partial_mattes=True) as capture:
             rows.append(("cameras", f"{len(capture.names)}, calibrated: {_names(capture.names)}"))
             rate = f" at {format_rate(capture.fps)} per second" if capture.fps else f", {UNKNOWN_RATE}"
             rows.append(("frames", f"{capture.frame_count}{rate}; {_numbers(capture.frame_numbers)}"))

@@ -27,7 +27,7 @@ OUTLIER_SHARE = 0.05
 """Maximum fraction of the views that may be wrong about a voxel: the voxel's score ignores its lowest log-odds in this
 fraction of the views."""
 MIN_SEEING_SHARE = 0.75
-"""A voxel gets a score only if it is inside the images of at least this fraction of the views."""
+"""Default of :attr:`VoxelGrid.min_seeing`."""
 REJECT_LOG_ODDS = np.float32(-2.0)
 """A view rejects a voxel if the voxel's log-odds in the view are below this value. Voxels that too many views reject
 are removed, so that the log-odds of only a few voxels must be sorted."""
@@ -46,6 +46,7 @@ class VoxelGrid:
         pixels: (C, N) int32 flat pixel index, row * width + column, of each voxel centre in each camera, or -1 if the
             voxel centre is outside the image.
         width_px: (C,) width of a voxel's projection in each camera, rounded to an odd number of pixels.
+        min_seeing: a voxel gets a score only if it is inside the images of at least this fraction of the views.
     """
 
     xyz: Array
@@ -53,9 +54,16 @@ class VoxelGrid:
     cameras: tuple[Camera, ...]
     pixels: NDArray[np.int32]
     width_px: tuple[int, ...]
+    min_seeing: float = MIN_SEEING_SHARE
 
     @staticmethod
-    def covering(lower: Array, upper: Array, cameras: Sequence[Camera], count: int | None = None) -> VoxelGrid:
+    def covering(
+        lower: Array,
+        upper: Array,
+        cameras: Sequence[Camera],
+        count: int | None = None,
+        min_seeing: float = MIN_SEEING_SHARE,
+    ) -> VoxelGrid:
         """Create a grid over a box.
 
         Args:
@@ -63,6 +71,7 @@ class VoxelGrid:
             upper: (3,) maximum corner of the box in world units.
             cameras: cameras from whose log-odds the voxels' scores are computed.
             count: number of voxels along the box's longest side, or None to match the images' resolution.
+            min_seeing: the least fraction of the views that see a voxel.
         """
         side = float((upper - lower).max())
         if count is None:
@@ -74,10 +83,12 @@ class VoxelGrid:
         size = side / count
         axes = [np.arange(low + size / 2, high, size) for low, high in zip(lower, upper, strict=True)]
         xyz = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-        return VoxelGrid.from_centres(xyz, size, cameras)
+        return VoxelGrid.from_centres(xyz, size, cameras, min_seeing)
 
     @staticmethod
-    def from_centres(xyz: Array, size: float, cameras: Sequence[Camera]) -> VoxelGrid:
+    def from_centres(
+        xyz: Array, size: float, cameras: Sequence[Camera], min_seeing: float = MIN_SEEING_SHARE
+    ) -> VoxelGrid:
         """Create a grid by projecting voxels with centres (N, 3) into the cameras."""
         pixels = np.full((len(cameras), len(xyz)), -1, np.int32)
         widths = []
@@ -89,13 +100,13 @@ class VoxelGrid:
             median = float(np.median(depth[seen])) if seen.any() else np.inf
             width = camera.intrinsics[1, 1] * size / median
             widths.append(2 * round((width - 1) / 2) + 1 if width > 1 else 1)
-        return VoxelGrid(xyz, size, tuple(cameras), pixels, tuple(widths))
+        return VoxelGrid(xyz, size, tuple(cameras), pixels, tuple(widths), min_seeing)
 
     def scores(self, evidence: Sequence[Floats]) -> Scores:
         """Score the voxels. ``evidence`` has one image (h, w) of log-odds per camera; positive log-odds are the
         subject."""
         seen = (self.pixels >= 0).sum(axis=0)
-        needed = max(2, int(np.ceil(MIN_SEEING_SHARE * len(self.cameras) - 1e-9)))
+        needed = max(2, int(np.ceil(self.min_seeing * len(self.cameras) - 1e-9)))
         outliers = min(int(OUTLIER_SHARE * len(self.cameras) + 1e-9), max(0, len(self.cameras) - 2))
         alive = np.flatnonzero(seen >= needed)
         rejections = np.zeros(len(alive), np.int16)

@@ -76,19 +76,33 @@ class Learner:
         self._stillness = np.exp(-np.square(motion / (2.5 * self.extent.still_px))).astype(np.float32)
 
     @staticmethod
-    def from_motion(sample: CameraSample, extent: MotionExtent, region: Flags, rng: np.random.Generator) -> Learner:
-        """Initialise the models from motion. The mask ``region`` (h, w) contains the subject in all frames."""
+    def from_motion(
+        sample: CameraSample, extent: MotionExtent, region: Flags, rng: np.random.Generator, solid: Flags | None = None
+    ) -> Learner:
+        """Initialise the models from motion.
+
+        Args:
+            sample: sampled frames of the camera.
+            extent: extent of motion in the sampled frames.
+            region: (h, w) mask that contains the subject in all frames.
+            rng: random generator for subsampling colours.
+            solid: (T, h, w) masks of pixels that show the subject although they may not move, or None.
+        """
         near_subject = _dilate(region, SURROUND_PX)
         ring = near_subject & ~region
         ring_rgb = sample.rgb[:, ring if ring.any() else near_subject].reshape(-1, 3)
         surround = ColourHistogram.from_colours(_subsample(ring_rgb, rng))
         unknown = BackgroundModel(*(np.zeros((*region.shape, 3), np.float32),) * 2, np.zeros(region.shape, np.float32))
         learner = Learner(sample, extent, Appearance(unknown, surround, surround, region, extent.still_px))
+        if solid is not None:
+            learner._stillness = np.where(solid, np.float32(0), learner._stillness)
         learner._set_background(learner._stillness, learner._stillness)
         changed = channel_max(np.abs(sample.rgb - learner.appearance.background.mean)) > extent.threshold
         moving = changed & (sample.motion_px > 2.5 * extent.still_px) & region
         if moving.sum() < 200:
             moving = changed & region
+        if solid is not None:
+            moving |= solid
         learner.subject = ColourHistogram.from_colours(_subsample(sample.rgb[moving], rng))
         learner.set_subject(learner.subject)
         weights = learner._stillness * _background_weight(learner._colour_log_odds(ring))

@@ -63,7 +63,7 @@ class MatteMaker:
         appearances = tuple(
             appearance.with_background(fine) for appearance, fine in zip(subject.appearances, backgrounds, strict=True)
         )
-        grid = None if subject.box is None else VoxelGrid.covering(*subject.box, cameras)
+        grid = None if subject.box is None else VoxelGrid.covering(*subject.box, cameras, min_seeing=subject.min_seeing)
         local = local_evidence(backgrounds, [appearance.region for appearance in appearances])
         return MatteMaker(appearances, tuple(cameras), grid, tuple(local))
 

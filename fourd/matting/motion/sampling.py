@@ -17,6 +17,10 @@ Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
 MAX_FRAMES = 24
+MIN_FRAMES = 8
+MAX_IMAGES = 324
+"""Maximum number of sampled images of all cameras together, if this allows MIN_FRAMES frames. The time for learning is
+proportional to it."""
 MAX_PIXELS = 32 << 20
 """Maximum total number of sampled pixels in all cameras and frames. With this limit, the sampled images need 100 MB,
 and the data computed from them needs 200 MB."""
@@ -45,7 +49,7 @@ class CameraSample:
 
 def sample_capture(capture: Capture, track: Track) -> list[CameraSample]:
     """Sample evenly spaced frames of all cameras, and reduce all images by the same factor."""
-    frames = learning_frames(capture.frame_count)
+    frames = learning_frames(capture.frame_count, len(capture.cameras))
     scale = _scale(capture.cameras, len(frames))
     samples = []
     for index in track(range(len(capture.cameras)), len(capture.cameras), "sampling"):
@@ -71,9 +75,12 @@ def flow_frame(frame: int, count: int) -> int | None:
     return other if other >= 0 else None
 
 
-def learning_frames(count: int) -> list[int]:
-    """Return the indices of the frames from which the subject is learned, for a capture of ``count`` frames."""
-    return sample_indices(count, MAX_FRAMES)
+def learning_frames(count: int, cameras: int = 1) -> list[int]:
+    """Return the indices of the frames from which the subject is learned, for a capture of ``count`` frames.
+
+    With many ``cameras``, fewer frames are used, because the other cameras then show what a camera's frames do not.
+    """
+    return sample_indices(count, max(MIN_FRAMES, min(MAX_FRAMES, MAX_IMAGES // cameras)))
 
 
 def reduce_picture(picture: Picture, camera: Camera) -> Picture:

@@ -29,7 +29,10 @@ MAX_OTHER_BYTES = 256 << 20
 
 def save_subject(path: Path, subject: Subject, backgrounds: Sequence[BackgroundModel]) -> None:
     """Write the models of the subject and of the background of all cameras to the file ``path``, atomically."""
-    arrays: dict[str, Any] = {"box": np.zeros((0, 3)) if subject.box is None else np.stack(subject.box)}
+    arrays: dict[str, Any] = {
+        "box": np.zeros((0, 3)) if subject.box is None else np.stack(subject.box),
+        "min_seeing": np.array(subject.min_seeing),
+    }
     for index, (appearance, fine) in enumerate(zip(subject.appearances, backgrounds, strict=True)):
         arrays |= {
             f"mean_{index}": fine.mean.astype(np.float16),
@@ -55,7 +58,7 @@ def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
         require_regular(path)
         _check_size(path, cameras)
         with np.load(path, allow_pickle=False) as arrays:
-            box = arrays["box"]
+            box, min_seeing = arrays["box"], float(arrays["min_seeing"])
             appearances, backgrounds = [], []
             for index, camera in enumerate(cameras):
                 fine = BackgroundModel(
@@ -70,7 +73,7 @@ def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
                 appearances.append(Appearance(fine, colours, surround, region, still_px, deviations))
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error, EOFError) as error:
         raise UserError(f"{path}: expected a learned model of the subject, got '{error}'; delete the file") from error
-    subject = Subject(tuple(appearances), tuple(cameras), (box[0], box[1]) if len(box) else None)
+    subject = Subject(tuple(appearances), tuple(cameras), (box[0], box[1]) if len(box) else None, min_seeing)
     return MatteMaker.from_subject(subject, backgrounds, cameras)
 
 

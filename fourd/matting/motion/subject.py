@@ -19,13 +19,15 @@ from numpy.typing import NDArray
 from fourd.cameras import Array, Camera
 from fourd.capture.focus import find_focus
 from fourd.errors import UserError
-from fourd.matting.motion.agreement import VoxelGrid
+from fourd.matting.motion.agreement import MIN_SEEING_SHARE, VoxelGrid
 from fourd.matting.motion.colour_models import ColourHistogram
 from fourd.matting.motion.evidence import Appearance, combine_views, probability
 from fourd.matting.motion.learner import Learner
 from fourd.matting.motion.local_evidence import LocalEvidence, local_evidence
 from fourd.matting.motion.motion_extent import MotionExtent
 from fourd.matting.motion.sampling import CameraSample
+from fourd.matting.solid.moments import Moments
+from fourd.matting.solid.subject import SolidSubject
 from fourd.progress import Track
 
 Floats = NDArray[np.float32]
@@ -42,6 +44,11 @@ is next to them. With the more accurate edges, the second additional iteration a
 MIN_REGION_PIXELS = 20
 """Minimum number of changing pixels. If every camera has fewer changing pixels, the capture has no moving subject."""
 COARSE_CELLS = (48, 64, 64)
+MAX_COVERED = 0.95
+"""If a larger fraction of the subject's points lies in the moving regions, the whole subject moves."""
+SOLID_LOG_ODDS = np.float32(3.0)
+"""Log-odds of the subject at pixels onto which its points project. One in seven of these pixels shows the background
+beside the subject, because stereo compares windows."""
 POOLED_SHARE = 0.3
 """Weight in [0, 1] of the subject colours pooled over all cameras, when they are mixed with a camera's own subject
 colours.
@@ -60,14 +67,22 @@ class Subject:
         cameras: cameras of the sampled images.
         box: minimum and maximum corner (3,) of the subject's bounding box over all frames, in world units. None
             for a single camera and for cameras with parallel optical axes, whose views are processed independently.
+        min_seeing: the least fraction of the cameras that see a part of the subject.
     """
 
     appearances: tuple[Appearance, ...]
     cameras: tuple[Camera, ...]
     box: tuple[Array, Array] | None
+    min_seeing: float = MIN_SEEING_SHARE
 
 
-def learn_subject(samples: Sequence[CameraSample], names: Sequence[str], seed: int, track: Track) -> Subject:
+def learn_subject(
+    samples: Sequence[CameraSample],
+    names: Sequence[str],
+    seed: int,
+    track: Track,
+    moments: Moments | None = None,
+) -> Subject:
     """Learn the models of the subject and the backgrounds.
 
     Args:
@@ -75,27 +90,23 @@ def learn_subject(samples: Sequence[CameraSample], names: Sequence[str], seed: i
         names: camera names for messages.
         seed: random seed for subsampling colours.
         track: progress callback.
+        moments: points on all surfaces in some of the sampled frames, or None. They show parts of the subject that do
+            not move.
 
     Raises:
         UserError: if no region changes, or if the moving regions of the views do not intersect in space.
     """
     cameras = tuple(sample.camera for sample in samples)
     extents = [MotionExtent.from_sample(sample) for sample in track(samples, len(samples), "motion")]
-    if max(int(extent.region.sum()) for extent in extents) < MIN_REGION_PIXELS:
-        is_single = all(len(sample.rgb) < 2 for sample in samples)
-        got = "only one frame" if is_single else "no change in any camera"
-        raise UserError(
-            f"the images: expected a moving subject, got {got}; "
-            "provide masks/CAM/FRAME.png, or use --method chroma with a screen of one colour"
-        )
-    box = _motion_box(extents, cameras, names)
-    grid = None if box is None else VoxelGrid.covering(*box, cameras)
-    regions = [extent.region for extent in extents] if grid is None else _subject_regions(extents, grid)
+    _require_motion(samples, extents)
+    place = _Place.of_motion(extents, cameras, names)
+    if moments is not None:
+        place = place.with_still_parts(moments, samples, extents)
     rng = np.random.default_rng(seed)
-    inputs = zip(samples, extents, regions, strict=True)
+    inputs = zip(samples, extents, place.regions, place.shown, strict=True)
     learners = [
-        Learner.from_motion(sample, extent, region, rng)
-        for sample, extent, region in track(inputs, len(samples), "initialisation")
+        Learner.from_motion(sample, extent, region, rng, masks)
+        for sample, extent, region, masks in track(inputs, len(samples), "initialisation")
     ]
     _pool_subject_colours(learners)
     iterations = ITERATIONS + LOCAL_ITERATIONS
@@ -106,8 +117,9 @@ def learn_subject(samples: Sequence[CameraSample], names: Sequence[str], seed: i
                 [learner.appearance for learner in learners],
                 [sample.rgb[frame] for sample in samples],
                 [sample.motion_px[frame].astype(np.float32) for sample in samples],
-                grid,
+                place.grid,
                 local,
+                [_solid_log_odds(masks, frame) for masks in place.shown] if place.has_still_parts else None,
             )
             for frame in range(len(samples[0].rgb))
         ]
@@ -115,7 +127,68 @@ def learn_subject(samples: Sequence[CameraSample], names: Sequence[str], seed: i
             alpha = np.stack([probability(views.log_odds[index]) for views in frames])
             learner.update(alpha, np.stack([views.off_hull[index] for views in frames]), rng, local is not None)
         _pool_subject_colours(learners)
-    return Subject(tuple(learner.appearance for learner in learners), cameras, box)
+    return Subject(tuple(learner.appearance for learner in learners), cameras, place.box, place.min_seeing)
+
+
+def _require_motion(samples: Sequence[CameraSample], extents: Sequence[MotionExtent]) -> None:
+    """Raise UserError if no region changes."""
+    if max(int(extent.region.sum()) for extent in extents) < MIN_REGION_PIXELS:
+        is_single = all(len(sample.rgb) < 2 for sample in samples)
+        got = "only one frame" if is_single else "no change in any camera"
+        raise UserError(
+            f"the images: expected a moving subject, got {got}; "
+            "provide masks/CAM/FRAME.png, or use --method chroma with a screen of one colour"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Where the subject is.
+
+    Attributes:
+        cameras: cameras of the sampled images.
+        box: minimum and maximum corner (3,) in world units, or None for views that are processed independently.
+        min_seeing: the least fraction of the cameras that see a part of the subject.
+        grid: voxels of the box, or None.
+        regions: for each camera, the mask (h, w) that contains the subject in all frames.
+        shown: for each camera, masks (T, h, w) of pixels that show the subject although they may not move, or None.
+    """
+
+    cameras: tuple[Camera, ...]
+    box: tuple[Array, Array] | None
+    min_seeing: float
+    grid: VoxelGrid | None
+    regions: list[Flags]
+    shown: list[Flags | None]
+
+    @property
+    def has_still_parts(self) -> bool:
+        """Whether stereo found parts of the subject that motion lacks."""
+        return any(masks is not None for masks in self.shown)
+
+    @staticmethod
+    def of_motion(extents: Sequence[MotionExtent], cameras: tuple[Camera, ...], names: Sequence[str]) -> _Place:
+        """Find the subject from the moving regions alone."""
+        box = _motion_box(extents, cameras, names)
+        grid = None if box is None else VoxelGrid.covering(*box, cameras)
+        regions = [extent.region for extent in extents] if grid is None else _subject_regions(extents, grid)
+        return _Place(cameras, box, MIN_SEEING_SHARE, grid, regions, [None] * len(cameras))
+
+    def with_still_parts(
+        self, moments: Moments, samples: Sequence[CameraSample], extents: Sequence[MotionExtent]
+    ) -> _Place:
+        """Add what does not move, but is connected with something that moves."""
+        if self.box is None:
+            return self
+        solid = SolidSubject.from_moments(moments, self.cameras, [extent.region for extent in extents])
+        # Motion alone is more exact at contours than stereo.
+        if solid is None or solid.covered_share(self.box, self.cameras, self.regions) > MAX_COVERED:
+            return self
+        box, min_seeing = solid.extend(self.box), solid.seeing_share(self.cameras)
+        grid = VoxelGrid.covering(*box, self.cameras, min_seeing=min_seeing)
+        shown = [solid.silhouettes(sample.camera, len(sample.rgb)) for sample in samples]
+        regions = [_with_silhouettes(region, masks) for region, masks in zip(self.regions, shown, strict=True)]
+        return _Place(self.cameras, box, min_seeing, grid, regions, list(shown))
 
 
 def _local_evidence(learners: Sequence[Learner]) -> list[LocalEvidence]:
@@ -170,3 +243,16 @@ def _subject_regions(extents: Sequence[MotionExtent], grid: VoxelGrid) -> list[F
 def _region_log_odds(region: Flags) -> Floats:
     """Return the log-odds (h, w) for a binary region: 3 inside, -5 outside."""
     return np.where(region, np.float32(3), np.float32(-5))
+
+
+def _with_silhouettes(region: Flags, masks: Flags) -> Flags:
+    """Add the subject's silhouettes (T, h, w), with a margin, to the region (h, w)."""
+    known = masks.any(axis=0).astype(np.uint8)
+    return np.asarray(region | (cv2.dilate(known, np.ones((7, 7), np.uint8)) > 0))
+
+
+def _solid_log_odds(masks: Flags | None, frame: int) -> Floats | None:
+    """Return the log-odds (h, w) in favour of the subject at pixels that its points cover in a frame."""
+    if masks is None or not masks[frame].any():
+        return None
+    return np.where(masks[frame], SOLID_LOG_ODDS, np.float32(0))

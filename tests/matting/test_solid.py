@@ -1,0 +1,174 @@
+"""Subjects that stand still: the room, the points inside it that are connected with motion, and their silhouettes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.cameras import Camera
+from fourd.capture import open_capture
+from fourd.matting.motion.sampling import CameraSample
+from fourd.matting.motion.subject import learn_subject
+from fourd.matting.solid.moments import MIN_CAMERAS, Moments, reconstruct_moments
+from fourd.matting.solid.room import Room
+from fourd.matting.solid.silhouette import point_silhouette
+from fourd.matting.solid.subject import SolidSubject
+from fourd.matting.solid.subject_points import find_subject_points
+from fourd.progress import untracked
+from tests.captures import write_ball_capture
+
+Array = NDArray[np.float64]
+RADIUS = 3.0
+SIZE = 96
+
+
+def wall_cameras(count: int = 12, height: float = 0.4) -> list[Camera]:
+    """Cameras on a circle that face the origin."""
+    cameras = []
+    for angle in np.arange(count) * 2 * np.pi / count:
+        centre = RADIUS * np.array([np.cos(angle), np.sin(angle), height / RADIUS])
+        forward = -centre / np.linalg.norm(centre)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        rotation = np.stack([right, np.cross(forward, right), forward])
+        k = np.array([[60.0, 0, SIZE / 2], [0, 60.0, SIZE / 2], [0, 0, 1]])
+        cameras.append(Camera(k, rotation, -rotation @ centre, SIZE, SIZE))
+    return cameras
+
+
+def sphere(rng: np.random.Generator, count: int = 20_000) -> Array:
+    """Points on the walls of a round room."""
+    directions = rng.normal(size=(count, 3))
+    return RADIUS * 1.1 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def column(rng: np.random.Generator, x: float, low: float, high: float, count: int = 1500) -> Array:
+    """Points of an upright body at (x, 0)."""
+    angle, z = rng.uniform(0, 2 * np.pi, count), rng.uniform(low, high, count)
+    return np.stack([x + 0.2 * np.cos(angle), 0.2 * np.sin(angle), z], axis=1)
+
+
+def regions_of(xyz: Array, cameras: list[Camera]) -> list[NDArray[np.bool_]]:
+    return [point_silhouette(xyz, 0.2, camera) for camera in cameras]
+
+
+def test_whoever_stands_before_the_wall_is_not_the_wall(rng: np.random.Generator) -> None:
+    """Catches a room that shrinks to people who hide the wall behind them, so that they count as wall."""
+    cameras = wall_cameras()
+    body, wall = column(rng, 1.5, -0.8, 0.8), sphere(rng)
+    hidden = np.linalg.norm(wall - [3.3, 0, 0], axis=1) < 0.25
+    room = Room.around(np.zeros(3), np.concatenate([wall[~hidden], body]), cameras)
+    assert np.median(room.depth_share(body)) < 0.7
+    assert np.quantile(np.abs(room.depth_share(wall) - 1), 0.95) < 0.05
+
+
+def test_a_standing_body_belongs_to_its_moving_head(rng: np.random.Generator) -> None:
+    """Catches legs that are lost because they do not move, and furniture that becomes the subject."""
+    cameras = wall_cameras()
+    body, table = column(rng, 0.8, -0.8, 0.8), column(rng, -1.2, -0.8, -0.2)
+    head = body[body[:, 2] > 0.55]
+    cloud = np.concatenate([sphere(rng), body, table])
+    (found,) = find_subject_points([cloud], cameras, regions_of(head, cameras))
+    assert abs(len(found) - len(body)) < 0.05 * len(body)
+    assert found[:, 0].min() > 0.3
+
+
+def test_nothing_moves_nothing_is_found(rng: np.random.Generator) -> None:
+    """Catches an empty list of points that ends the matting with a traceback, and subjects without any motion."""
+    cameras = wall_cameras()
+    still = [np.zeros((SIZE, SIZE), bool)] * len(cameras)
+    cloud = np.concatenate([sphere(rng), column(rng, 0.8, -0.8, 0.8)])
+    for points in (cloud, np.zeros((0, 3))):
+        assert [len(xyz) for xyz in find_subject_points([points], cameras, still)] == [0]
+        assert SolidSubject.from_moments(Moments((0,), (points,)), cameras, still) is None
+
+
+def test_box_and_views_of_a_subject_that_images_cut_off(rng: np.random.Generator) -> None:
+    """Catches legs outside the box of the moving head, and legs that are carved away by cameras that do not see
+    them."""
+    cameras = wall_cameras()
+    body = column(rng, 1.9, -1.2, 0.8)
+    solid = SolidSubject((1,), (body,), 0.1)
+    lower, upper = solid.extend((np.full(3, 0.4), np.full(3, 0.7)))
+    assert (lower < np.quantile(body, 0.02, axis=0)).all()
+    assert (upper > np.quantile(body, 0.98, axis=0)).all()
+    seen = np.mean([camera.is_in_image(*camera.project(body)) for camera in cameras], axis=0)
+    assert np.mean(seen >= solid.seeing_share(cameras)) > 0.97
+    assert solid.seeing_share(cameras) < 0.75
+    everywhere = [np.ones((SIZE, SIZE), bool)] * len(cameras)
+    assert solid.covered_share((lower, upper), cameras, everywhere) > 0.95
+    assert 0.3 < solid.covered_share((lower, upper * [1, 1, 0]), cameras, everywhere) < 0.8
+    masks = solid.silhouettes(cameras[0], 3)
+    assert masks[1].any()
+    assert not masks[[0, 2]].any()
+
+
+def test_silhouettes_have_no_gaps(rng: np.random.Generator) -> None:
+    """Catches silhouettes that are sprinkled with holes between the points, or grow beyond them."""
+    camera = wall_cameras()[0]
+    body = column(rng, 0.0, -0.6, 0.6, 600)
+    mask = point_silhouette(body, 0.15, camera)
+    rows, columns = np.nonzero(mask)
+    box = (rows.max() - rows.min() + 1) * (columns.max() - columns.min() + 1)
+    assert mask.sum() > 0.75 * box
+    assert abs((columns.max() - columns.min() + 1) - 60 * 0.4 / 3) < 4
+    assert not point_silhouette(body + 10 * camera.centre, 0.15, camera).any()
+
+
+def sway(frame: int) -> Array:
+    """Position (3,) of the moving head in a frame."""
+    return np.array([0, 0.25 * np.sin(frame), 0])
+
+
+def _scene(cameras: list[Camera], body: Array, head: Array, frames: int) -> list[CameraSample]:
+    """Images of a grey wall before which a dark body stands still, with a light head that moves sideways."""
+    samples = []
+    for camera in cameras:
+        rgb = np.full((frames, SIZE, SIZE, 3), 120, np.uint8)
+        rgb += np.random.default_rng(0).integers(0, 4, rgb.shape, np.uint8)
+        motion = np.zeros((frames, SIZE, SIZE), np.float16)
+        for frame in range(frames):
+            rgb[frame][point_silhouette(body, 0.15, camera)] = (60, 70, 80)
+            moved = point_silhouette(head + sway(frame), 0.15, camera)
+            rgb[frame][moved] = (220, 180, 160)
+            motion[frame][moved] = 3
+        samples.append(CameraSample(camera, rgb, motion))
+    return samples
+
+
+def test_a_body_that_never_moves_is_found_with_its_head(rng: np.random.Generator) -> None:
+    """Catches mattes of heads without bodies: whoever stands still is wall to the median over time."""
+    cameras = wall_cameras(10)
+    body, head = column(rng, 0.5, -0.8, 0.5), column(rng, 0.5, 0.5, 0.9)
+    samples = _scene(cameras, body, head, 6)
+    moment = np.concatenate([sphere(rng), body, head + sway(2)])
+    names = [str(index) for index in range(len(cameras))]
+    shares = []
+    for moments in (None, Moments((2,), (moment,))):
+        subject = learn_subject(samples, names, 0, untracked, moments)
+        parts = []
+        for appearance, sample in zip(subject.appearances, samples, strict=True):
+            legs = point_silhouette(body[body[:, 2] < 0], 0.15, sample.camera)
+            parts.append((appearance.log_odds(sample.rgb[3], sample.motion_px[3].astype(np.float32)) > 0)[legs].mean())
+        shares.append(np.mean(parts))
+    assert shares[0] < 0.2
+    assert shares[1] > 0.9
+
+
+def test_few_cameras_are_left_alone(tmp_path: Path) -> None:
+    """Catches stereo between cameras that are too far apart, which takes minutes and finds nothing."""
+    capture = write_ball_capture(tmp_path / "capture", cameras=MIN_CAMERAS - 1, frames=2, size=32)
+    with open_capture(capture) as opened:
+        assert reconstruct_moments(opened, [0, 1], 0, 1, untracked) is None
+
+
+def test_moments_of_short_recordings(tmp_path: Path) -> None:
+    """Catches short recordings with fewer frames than moments, and images in which stereo finds nothing."""
+    capture = write_ball_capture(tmp_path / "capture", cameras=MIN_CAMERAS, frames=1, size=32)
+    with open_capture(capture) as opened:
+        found = reconstruct_moments(opened, [0], 0, 1, untracked)
+    assert found is not None
+    assert found.frames == (0,)
+    assert found.points[0].shape[1] == 3
