@@ -247,7 +247,7 @@ def _region_log_odds(region: Flags) -> Floats:
 
 def _with_silhouettes(region: Flags, masks: Flags) -> Flags:
     """Add the subject's silhouettes (T, h, w), with a margin, to the region (h, w)."""
-    known = masks.any(axis=0).astype(np.uint8)
+    known = np.asarray(masks.any(axis=0), np.uint8)
     return np.asarray(region | (cv2.dilate(known, np.ones((7, 7), np.uint8)) > 0))
 
 

@@ -52,6 +52,6 @@ def _surface_points(capture: Capture, frame: int, seed: int, workers: int, track
     for index, (name, camera) in enumerate(zip(capture.names, capture.cameras, strict=True)):
         rgb = capture.image(index, frame)
         # Pixels outside the lens's field of view are black.
-        views.append(StereoView(name, camera, rgb, rgb.any(axis=-1)))
+        views.append(StereoView(name, camera, rgb, np.asarray(rgb.any(axis=-1), np.bool_)))
     surfaces = reconstruct_surfaces(views, seed, workers, track).surfaces
     return np.concatenate([surface.points(np.flatnonzero(surface.known)) for surface in surfaces])

@@ -62,7 +62,7 @@ class SolidSubject:
         """Return the fraction of the points that lie in ``box`` and, in a camera that sees them, in its region (h, w);
         mean over all cameras and points."""
         everything = np.concatenate(self.points)
-        in_box = ((everything >= box[0]) & (everything <= box[1])).all(axis=1)
+        in_box = np.asarray(((everything >= box[0]) & (everything <= box[1])).all(axis=1), np.bool_)
         seen = covered = 0
         for camera, region in zip(cameras, regions, strict=True):
             pixels, depth = camera.project(everything)
