@@ -14,6 +14,7 @@ from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filte
 
 from fourd.background.height_profile import height_profile
 from fourd.cameras import Camera
+from fourd.capture.focus import median_distance
 from fourd.formats.ply import ColouredPoints
 from fourd.progress import Track, untracked
 from fourd.stereo.directions import (
@@ -81,7 +82,7 @@ def build_shell(
     xyz = centre + directions / inverse[:, None]
     # Shell points that are closer to the centre than the median camera are dropped. The cameras see this part of the
     # scene, so a gap in it only means that the known points are sparse there.
-    reach = float(np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]))
+    reach = median_distance(cameras, centre)
     kept = (inverse * reach < 1) & ~occludes(xyz, points.xyz.astype(np.float64), cameras)
     colours = np.clip(np.rint(rgb[kept]), 0, 255).astype(np.uint8)
     return ColouredPoints(xyz[kept].astype(np.float32), colours)

@@ -50,6 +50,11 @@ def find_focus(cameras: Sequence[Camera]) -> Array | None:
     )
 
 
+def median_distance(cameras: Sequence[Camera], point: Array) -> float:
+    """Return the median distance of the cameras from a world point (3,), in world units."""
+    return float(np.median([np.linalg.norm(camera.centre - point) for camera in cameras]))
+
+
 def _nearest_point(centres: Array, axes: Array) -> Array | None:
     projections = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     if np.linalg.eigvalsh(projections.mean(axis=0))[0] < PARALLEL:

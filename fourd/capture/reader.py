@@ -235,7 +235,7 @@ def open_capture(
         scale: factor in (0, 4] by which images are resized.
         cache_mb: size of the cache of decoded images in MiB.
         cache_frames: number of frames, with one image per camera, that the cache can hold in addition to ``cache_mb``.
-        mattes: whether to open mattes. A camera needs none, but if it has masks, it must have those of all frames.
+        mattes: whether to open mattes. A camera needs none, or needs them for all selected frames.
         partial_mattes: whether generated mattes that lack some of the selected frames count as no mattes.
 
     Raises:
@@ -262,9 +262,9 @@ def open_capture(
         chosen = [all_frames[number] for number in selected]
         footage = [_open_video(videos[name], selected) for name in names]
     if mattes:
-        own = open_masks(path, all_frames, partial_mattes)
+        own = open_masks(path, all_frames)
         footage = [
-            replace(of, mattes=open_mattes(path, name, of.images, own, chosen))
+            replace(of, mattes=open_mattes(path, name, of.images, own, chosen, partial_mattes))
             for name, of in zip(names, footage, strict=True)
         ]
     cameras = [_to_camera(path, name, calibrations[name], of) for name, of in zip(names, footage, strict=True)]

@@ -226,8 +226,8 @@ def _versions(paths: Sequence[Path]) -> Iterator[str]:
 
 def _learn_subject_model(capture: Capture, settings: MatteSettings, path: Path, workers: int, track: Track) -> None:
     """Learn the models of the subject and of each camera's background, and write them to ``path``."""
-    samples = sample_capture(capture, track)
     frames = learning_frames(capture.frame_count, len(capture.cameras))
+    samples = sample_capture(capture, frames, track)
     moments = reconstruct_moments(capture, frames, settings.seed, workers, track)
     subject = learn_subject(samples, capture.names, settings.seed, track, moments)
     cameras = matting_cameras(capture)

@@ -1,5 +1,5 @@
 """Stereo reconstruction of clean plates (images of the empty scene): estimate a depth map of each plate, and remove
-depths that are inconsistent with other plates.
+depths that are inconsistent with other plates. Images of all cameras at one moment serve as plates too.
 
 A depth map is a grid of cells. Each cell is centred on a pixel and stores a plane in space.
 """

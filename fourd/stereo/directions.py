@@ -116,6 +116,17 @@ def summarize_cells(
     return known, inverse, total / np.maximum(np.bincount(sorted_cells[far], minlength=count), 1)[:, None]
 
 
+def fit_distances(grid: DirectionGrid, xyz: Array) -> Array:
+    """Return the inverse distance (cells,) of the farthest surface in each direction, from points (N, 3) on surfaces.
+
+    Directions without points continue the surfaces beside them, mainly in the horizontal direction.
+    """
+    cells, distance = grid.cells(xyz)
+    no_colours = np.zeros((len(xyz), 3), np.uint8)
+    known, inverse, _ = summarize_cells(cells, distance, no_colours, grid.rows * grid.columns)
+    return extrapolate_distances(grid, known, inverse)
+
+
 def interpolate_harmonic(
     grid: DirectionGrid, known: NDArray[np.bool_], values: Array, horizontal_weight: float
 ) -> Array:

@@ -17,8 +17,7 @@ from fourd.stereo.directions import (
     ROWS_PER_DEGREE,
     DirectionGrid,
     direction_grid,
-    extrapolate_distances,
-    summarize_cells,
+    fit_distances,
 )
 from fourd.stereo.fusion import Surface
 from fourd.stereo.patches import index_intrinsics
@@ -61,10 +60,7 @@ class Room:
         if not len(xyz):
             return None
         sphere = direction_grid([surface.camera for surface in surfaces], centre, ROWS_PER_DEGREE)
-        cells, distance = sphere.cells(xyz)
-        black = np.zeros((len(xyz), 3), np.uint8)
-        known, inverse, _ = summarize_cells(cells, distance, black, sphere.rows * sphere.columns)
-        inverse_distance = extrapolate_distances(sphere, known, inverse)
+        inverse_distance = fit_distances(sphere, xyz)
         if np.mean([surface.known.mean() for surface in surfaces]) < MIN_KNOWN:
             reach = max(float(np.linalg.norm(surface.camera.centre - centre)) for surface in surfaces)
             floor = float(np.percentile((xyz - centre) @ sphere.R_world_sphere[:, 2], FLOOR_PERCENTILE))

@@ -64,13 +64,11 @@ class OwnMattes:
         is_alpha: whether the alpha channels of the images are the mattes; see
             :func:`~fourd.capture.pictures.alpha.alpha_is_matte`.
         frames: names of all frames of the capture.
-        partial: whether generated mattes that lack frames count as no mattes.
     """
 
     folder: MaskFolder
     is_alpha: bool
     frames: Sequence[str]
-    partial: bool
 
     @property
     def exist(self) -> bool:
@@ -78,15 +76,18 @@ class OwnMattes:
         return self.is_alpha or bool(camera_folders(self.folder.folder))
 
 
-def open_masks(path: Path, frames: Sequence[str], partial: bool) -> OwnMattes:
+def open_masks(path: Path, frames: Sequence[str]) -> OwnMattes:
     """Find the user's mattes of the capture ``path``, which has the frames ``frames``."""
-    return OwnMattes(MaskFolder(path / "masks"), alpha_is_matte(path), frames, partial)
+    return OwnMattes(MaskFolder(path / "masks"), alpha_is_matte(path), frames)
 
 
-def open_mattes(path: Path, name: str, images: CameraFrames, masks: OwnMattes, chosen: Sequence[str]) -> Mattes | None:
+def open_mattes(
+    path: Path, name: str, images: CameraFrames, masks: OwnMattes, chosen: Sequence[str], partial: bool = False
+) -> Mattes | None:
     """Return the user's mattes of the chosen frames, or the generated mattes, or None if there are neither.
 
-    If the user provided mattes of other cameras, the generated mattes of a camera are used only if they are complete.
+    If the user provided mattes of other cameras, or if ``partial`` is true, generated mattes of only some of the frames
+    count as no mattes.
 
     Raises:
         UserError: if there are mattes, but not of all frames ``chosen``.
@@ -105,7 +106,7 @@ def open_mattes(path: Path, name: str, images: CameraFrames, masks: OwnMattes, c
     if not files:
         return None
     if missing_frame_error(generated, files, chosen) is not None:
-        if masks.exist or masks.partial:
+        if masks.exist or partial:
             return None
         count = sum(frame in files for frame in chosen)
         raise UserError(

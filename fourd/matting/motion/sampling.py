@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -47,9 +48,8 @@ class CameraSample:
     motion_px: NDArray[np.float16]
 
 
-def sample_capture(capture: Capture, track: Track) -> list[CameraSample]:
-    """Sample evenly spaced frames of all cameras, and reduce all images by the same factor."""
-    frames = learning_frames(capture.frame_count, len(capture.cameras))
+def sample_capture(capture: Capture, frames: Sequence[int], track: Track) -> list[CameraSample]:
+    """Sample the ``frames`` of all cameras, and reduce all images by the same factor."""
     scale = _scale(capture.cameras, len(frames))
     samples = []
     for index in track(range(len(capture.cameras)), len(capture.cameras), "sampling"):

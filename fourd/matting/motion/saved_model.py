@@ -59,6 +59,8 @@ def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
         _check_size(path, cameras)
         with np.load(path, allow_pickle=False) as arrays:
             box, min_seeing = arrays["box"], float(arrays["min_seeing"])
+            if not 0 <= min_seeing <= 1:
+                raise ValueError(f"a fraction of {min_seeing} of the cameras")
             appearances, backgrounds = [], []
             for index, camera in enumerate(cameras):
                 fine = BackgroundModel(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from fourd.cameras import Array, Camera
-from fourd.stereo.directions import DirectionGrid, direction_grid, extrapolate_distances, summarize_cells
+from fourd.stereo.directions import DirectionGrid, direction_grid, fit_distances
 
 CELL_DEG = 4
 """Size of a cell of directions."""
@@ -33,17 +33,10 @@ class Room:
 
     @staticmethod
     def around(centre: Array, xyz: Array, cameras: Sequence[Camera]) -> Room:
-        """Fit the room to points (N, 3) on all surfaces that the cameras see, among them objects inside the room.
-
-        Directions without points continue the surfaces beside them.
-        """
+        """Fit the room to points (N, 3) on all surfaces that the cameras see, among them objects inside the room."""
         fine = direction_grid(cameras, centre)
         grid = replace(fine, rows=fine.rows // CELL_DEG, columns=fine.columns // CELL_DEG)
-        cells, distance = grid.cells(xyz)
-        no_colours = np.zeros((len(xyz), 3), np.uint8)
-        known, inverse, _ = summarize_cells(cells, distance, no_colours, grid.rows * grid.columns)
-        inverse = extrapolate_distances(grid, known, inverse)
-        picture = inverse.reshape(grid.rows, grid.columns)
+        picture = fit_distances(grid, xyz).reshape(grid.rows, grid.columns)
         surround = median_filter(picture, SURROUND_CELLS, mode="wrap")
         return Room(grid, np.minimum(picture, surround).ravel())
 

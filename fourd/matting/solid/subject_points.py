@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from fourd.cameras import Array, Camera
-from fourd.capture.focus import find_focus
+from fourd.capture.focus import find_focus, median_distance
 from fourd.matting.solid.room import Room
 
 Flags = NDArray[np.bool_]
@@ -59,7 +59,7 @@ def reach(cameras: Sequence[Camera]) -> float:
     focus = find_focus(list(cameras))
     if focus is None:
         raise ValueError("expected cameras with a common focus, got parallel cameras")
-    return float(np.median([np.linalg.norm(camera.centre - focus) for camera in cameras]))
+    return median_distance(cameras, focus)
 
 
 def _moving_objects(xyz: Array, voxel: float, cameras: Sequence[Camera], regions: Sequence[Flags]) -> Array:

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from fourd.background.shell import viewing_centre
 from fourd.cameras import Array, Camera
+from fourd.capture.focus import median_distance
 from fourd.capture.layout import sample_indices
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
@@ -63,8 +64,7 @@ def choose_near(
 
 def fallback_near(cameras: Sequence[Camera]) -> float:
     """Return the near plane of a capture of which no surface is known."""
-    focus = viewing_centre(cameras)
-    return FALLBACK_SHARE * float(np.median([np.linalg.norm(camera.centre - focus) for camera in cameras]))
+    return FALLBACK_SHARE * median_distance(cameras, viewing_centre(cameras))
 
 
 def sample_hull(folder: Path, frame_numbers: Sequence[int]) -> Iterator[NDArray[np.float32]]:
