@@ -96,6 +96,12 @@ def find_videos(folder: Path) -> dict[str, Path]:
     return found
 
 
+def camera_names(capture: Path) -> list[str]:
+    """Return the names of all cameras of a capture in natural order: those of its folders of images, or else of its
+    videos."""
+    return camera_folders(capture / "images") or list(find_videos(capture / VIDEOS))
+
+
 def refuse_symlinks(capture: Path, folder: Path) -> None:
     """Check that a deletion in ``folder`` cannot reach files outside CAPTURE/.fourd through a symbolic link.
 

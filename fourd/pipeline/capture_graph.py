@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from fourd.capture.calibration import INTRINSICS_NAME
-from fourd.capture.layout import VIDEOS, camera_folders, find_videos, select_views
+from fourd.capture.layout import VIDEOS, camera_folders, camera_names, select_views
 from fourd.capture.pictures.alpha import alpha_is_matte
 from fourd.capture.pictures.listing import masked_cameras
 from fourd.errors import UserError, command_line
@@ -35,9 +36,7 @@ def lacks_masks(capture: Path, views: Sequence[str] | None = None) -> bool:
 
 def _partly_masked(capture: Path, views: Sequence[str] | None) -> list[str]:
     """Return the selected cameras of a capture with masks if some of them have no masks, otherwise an empty list."""
-    folder = capture / "images"
-    found = camera_folders(folder) or list(find_videos(capture / VIDEOS))
-    names, masked = select_views(views, found), masked_cameras(capture)
+    names, masked = select_views(views, camera_names(capture)), masked_cameras(capture)
     return [] if set(names) <= set(masked) else names
 
 
@@ -84,6 +83,12 @@ def stages_to_hull_mattes(
     return (hull_mattes_stage(capture, settings),) if len(settings.given) >= needed else ()
 
 
+def _held_out(capture: Path, views: Sequence[str] | None, test_views: Sequence[str]) -> tuple[str, ...]:
+    """Return the full names of the held-out cameras among ``views``."""
+    names = select_views(views, camera_names(capture))
+    return tuple(select_views(test_views, names, "--test-views"))
+
+
 def stages_to_mattes(
     capture: Path,
     settings: MatteStageSettings,
@@ -101,10 +106,12 @@ def stages_to_mattes(
         capture: the capture's folder.
         settings: the selected cameras and frames, and the method of matting.
         plates: whether to also make plates.
-        test_views: held-out cameras, whose masks must not influence the mattes of other cameras.
+        test_views: held-out cameras, whose images and masks must not influence the mattes of other cameras.
         from_hull: whether masks of at least three cameras take the place of the method of ``settings``.
     """
     stages: list[AnyStage] = []
+    if test_views and not has_masks(capture):
+        settings = replace(settings, held_out=_held_out(capture, settings.views, test_views))
     if lacks_masks(capture, settings.views):
         hull = stages_to_hull_mattes(capture, settings.views, settings.frames, test_views) if from_hull else ()
         stages += hull or (mattes_stage(capture, settings),)

@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from fourd.capture.layout import DERIVED, MATTES, refuse_symlinks
+from fourd.capture.layout import DERIVED, MATTES, camera_names, refuse_symlinks, select_views
 from fourd.capture.split import read_test_views
-from fourd.cli.options import CapturePath, SelectionOptions, Workers, option, worker_count
+from fourd.cli.options import CapturePath, SelectionOptions, Workers, option, split_names, worker_count
 from fourd.cli.outputs import READS, require_distinct
 from fourd.errors import UserError
 from fourd.matting.motion.paint import parse_paint
@@ -89,6 +89,9 @@ class Arguments:
     workers: Workers = None
     seed: int = 0
     """Random seed."""
+    test_views: Annotated[str | None, option("NAME,NAME|none", "the capture's test split, split.json, or none")] = None
+    """Names of held-out cameras, separated by commas. Their images influence no matte of another camera. Use the cameras
+    that you hold out in fourd train."""
     plates: bool = True
     """In addition to mattes, make clean plates (images of the background without the subject)."""
 
@@ -108,7 +111,7 @@ def run(arguments: Arguments) -> None:
         )
     refuse_symlinks(capture, capture / DERIVED)
     with locked_folder(capture / DERIVED):
-        held_out = [name for name in read_test_views(capture) or () if selection.names is None]
+        held_out = _held_out(arguments)
         Runner(context).run(
             stages_to_mattes(capture, settings, arguments.plates, test_views=held_out, from_hull=from_hull)
         )
@@ -123,3 +126,13 @@ def run(arguments: Arguments) -> None:
         lines.append(f"{capture / PLATES}: clean plates, transparent at pixels where no frame shows the background")
     for line in lines:
         Terminal().print(line, soft_wrap=True)
+
+
+def _held_out(arguments: Arguments) -> tuple[str, ...]:
+    """Return the held-out cameras: those of the option, or else those of the test split that are among the selected
+    cameras."""
+    if arguments.test_views is None:
+        split = read_test_views(arguments.capture) or ()
+        chosen = select_views(arguments.selection.names, camera_names(arguments.capture)) if split else ()
+        return tuple(name for name in split if name in chosen)
+    return () if arguments.test_views.strip() == "none" else split_names(arguments.test_views) or ()

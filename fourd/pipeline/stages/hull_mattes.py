@@ -6,25 +6,21 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-
-import cv2
 
 from fourd.capture import open_capture
 from fourd.capture.layout import parse_frame_range, refuse_symlinks
 from fourd.capture.pictures.listing import masked_cameras
-from fourd.carving.coherence import hull_silhouettes
 from fourd.errors import UserError
 from fourd.matting.output import MatteOutput
 from fourd.matting.selection import Selection
-from fourd.matting.sequence import write_matte
-from fourd.parallel import run_jobs, split_into_blocks
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.edited_mattes import kept_if_edited
 from fourd.pipeline.stages.mattes import MatteFiles
+from fourd.pipeline.stages.silhouettes import write_silhouettes
 
 VERSION = 1
 MIN_MASKED = 3
@@ -85,42 +81,13 @@ def run_hull_mattes(files: MatteFiles, settings: HullMatteSettings, context: Con
     chosen = parse_frame_range(settings.frames, len(frame_names))
     missing = [chosen[index] for index in output.missing(settings.missing, [frame_names[frame] for frame in chosen])]
     folder = output.start() if missing else output.folder
-    jobs = [_Job(path, settings, folder, tuple(block)) for block in split_into_blocks(missing, context.workers)]
     with kept_if_edited(path, context.log):
-        for _ in context.track(run_jobs(_make_mattes, jobs, context.workers), len(missing), "mattes"):
-            pass
+        write_silhouettes(Selection(path, settings.given), settings.missing, missing, folder, context)
         output.finish()
     context.log(
         f"{path}: no masks of {names}; their mattes are the silhouettes of the visual hull of the masks of "
         f"{len(settings.given)} other cameras ({len(missing)} frames made)"
     )
-
-
-@dataclass(frozen=True)
-class _Job:
-    """Job of a worker process: the capture, the settings, the output folder, and the indices of the frames."""
-
-    capture: Path
-    settings: HullMatteSettings
-    folder: Path
-    frames: tuple[int, ...]
-
-
-def _make_mattes(job: _Job) -> Iterator[int]:
-    """Write the mattes of some frames, and yield the index of each frame after its files are written."""
-    cv2.setNumThreads(1)
-    given = Selection(job.capture, job.settings.given)
-    others = Selection(job.capture, job.settings.missing)
-    with given.open() as masked, others.open(mattes=False) as unmasked:
-        for frame in job.frames:
-            masks = [masked.mask(camera, frame) for camera in range(len(masked.names))]
-            mattes = hull_silhouettes(masks, masked.cameras, unmasked.cameras)
-            for name, matte in zip(unmasked.names, mattes, strict=True):
-                target = job.folder / name / f"{unmasked.frame_names[frame]}.png"
-                # Existing mattes are kept, because the user may have edited them.
-                if not target.exists():
-                    write_matte(target, matte)
-            yield frame
 
 
 def _key(capture: Path, settings: HullMatteSettings, frames: Sequence[str]) -> str:

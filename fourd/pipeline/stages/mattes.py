@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from fourd.capture import Capture, open_capture
-from fourd.capture.layout import DERIVED
+from fourd.capture.layout import DERIVED, MATTES, camera_names, select_views
 from fourd.capture.video_index import index_capture
 from fourd.carving.matte_quality import measure_mattes
 from fourd.matting.contact_sheet import write_contact_sheet
@@ -16,7 +17,10 @@ from fourd.matting.sequence import MatteSettings, make_mattes
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.edited_mattes import kept_if_edited
+from fourd.pipeline.stages.silhouettes import MIN_HULL_VIEWS, write_silhouettes
 
+COMBINING_METHODS = ("motion",)
+"""Methods that combine the evidence of all cameras, so that each image influences the mattes of all cameras."""
 QUALITY = DERIVED / "matte_quality.json"
 """JSON file that records how well the mattes agree with visual hulls: three numbers for each camera in each of a few
 frames; see ``fourd.carving.matte_quality.MatteQuality``."""
@@ -31,11 +35,30 @@ class MatteFiles:
 
 @dataclass(frozen=True)
 class MatteStageSettings:
-    """Selected views and frames, and the settings of matting."""
+    """Selected views and frames, and the settings of matting.
+
+    Attributes:
+        views: names of the selected cameras, or None for all.
+        frames: range of frames, or None for all frames.
+        mattes: the settings of matting.
+        held_out: names of the cameras, among ``views``, whose images must not influence the mattes of the others. If
+            the method combines cameras, the mattes of these cameras are silhouettes of the hull of the other mattes.
+    """
 
     views: tuple[str, ...] | None
     frames: str | None
     mattes: MatteSettings
+    held_out: tuple[str, ...] = ()
+
+    def split(self, capture: Path) -> tuple[tuple[str, ...] | None, tuple[str, ...]]:
+        """Return the views whose images the mattes are made from, and the held-out views that get silhouettes."""
+        if not self.held_out or self.mattes.method not in COMBINING_METHODS:
+            return self.views, ()
+        names = select_views(self.views, camera_names(capture))
+        used = tuple(name for name in names if name not in self.held_out)
+        if len(used) < MIN_HULL_VIEWS:
+            return self.views, ()
+        return used, tuple(name for name in names if name in self.held_out)
 
 
 def mattes_stage(capture: Path, settings: MatteStageSettings) -> Stage[MatteFiles, MatteStageSettings]:
@@ -53,17 +76,37 @@ def mattes_stage(capture: Path, settings: MatteStageSettings) -> Stage[MatteFile
 def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context) -> None:
     """Make the missing mattes, and then the contact sheet. Mattes that an earlier call made with the same settings are
     kept."""
-    selection = Selection(files.capture, settings.views, settings.frames)
-    index_capture(files.capture, settings.views, context.track)
-    with kept_if_edited(files.capture, context.log):
+    path = files.capture
+    used, held_out = settings.split(path)
+    selection = Selection(path, used, settings.frames)
+    index_capture(path, settings.views, context.track)
+    with kept_if_edited(path, context.log):
         made = make_mattes(selection, settings.mattes, context.workers, context.track)
-    context.log(f"{files.capture}: made mattes of {made} frames; kept the mattes of the other frames")
-    sheet = files.capture / SHEET
+    context.log(f"{path}: made mattes of {made} frames; kept the mattes of the other frames")
+    if held_out:
+        made += _make_silhouettes(selection, held_out, context)
+    sheet = path / SHEET
     if made or not sheet.exists():
         views = None if settings.views is None else list(settings.views)
-        with open_capture(files.capture, views=views, frames=settings.frames) as capture:
-            write_quality(capture, context)
+        with open_capture(path, views=views, frames=settings.frames) as capture:
+            independent = [index for index, name in enumerate(capture.names) if name not in held_out]
+            write_quality(capture.select(independent), context)
             write_contact_sheet(capture, sheet, track=context.track)
+
+
+def _make_silhouettes(given: Selection, held_out: Sequence[str], context: Context) -> int:
+    """Make the missing mattes of held-out cameras from those of the other cameras, and return for how many frames."""
+    folder = given.path / MATTES
+    with given.open(mattes=False) as capture:
+        names = capture.frame_names
+    paths = [[folder / camera / f"{name}.png" for camera in held_out] for name in names]
+    missing = [index for index, files in enumerate(paths) if not all(path.exists() for path in files)]
+    write_silhouettes(given, held_out, missing, folder, context)
+    context.log(
+        f"{given.path}: the mattes of the held-out cameras {', '.join(held_out)} are the silhouettes of the visual "
+        f"hull of the other mattes, which therefore owe nothing to held-out images ({len(missing)} frames made)"
+    )
+    return len(missing)
 
 
 def write_quality(capture: Capture, context: Context) -> None:

@@ -47,9 +47,11 @@ def capture_plates_stage(capture: Path, settings: MatteStageSettings) -> Stage[M
 
 
 def make_capture_plates(files: MatteFiles, settings: MatteStageSettings, context: Context) -> None:
-    """Make missing plates. Existing plates are kept if they were made from the same mattes."""
-    index_capture(files.capture, settings.views, context.track)
-    selection = Selection(files.capture, settings.views, settings.frames)
+    """Make missing plates. Existing plates are kept if they were made from the same mattes. Held-out cameras need
+    none."""
+    used, _ = settings.split(files.capture)
+    index_capture(files.capture, used, context.track)
+    selection = Selection(files.capture, used, settings.frames)
     with selection.open() as capture:
         key = matte_key(capture, settings.mattes)
     make_plates(selection, key, context.workers, context.track)
