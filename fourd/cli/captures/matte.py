@@ -90,8 +90,8 @@ class Arguments:
     seed: int = 0
     """Random seed."""
     test_views: Annotated[str | None, option("NAME,NAME|none", "the capture's test split, split.json, or none")] = None
-    """Names of held-out cameras, separated by commas. Their images influence no matte of another camera. Use the cameras
-    that you hold out in fourd train."""
+    """Names of held-out cameras, separated by commas. Their images influence no matte of another camera.
+    Name those that you hold out in fourd train."""
     plates: bool = True
     """In addition to mattes, make clean plates (images of the background without the subject)."""
 
