@@ -1,4 +1,5 @@
-"""A process pool that yields each result as soon as it is ready, and leaves no process running after an error."""
+"""Work in several processes or threads. The process pool yields each result as soon as it is ready, and leaves no
+process running after an error."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from multiprocessing.connection import wait as wait_for
 from multiprocessing.queues import SimpleQueue
@@ -35,6 +36,15 @@ def split_into_blocks(items: Sequence[Item], workers: int) -> list[Sequence[Item
     """Split items into blocks of consecutive items, with several blocks per worker."""
     length = max(1, min(MAX_BLOCK, len(items) // (3 * workers)))
     return [items[start : start + length] for start in range(0, len(items), length)]
+
+
+def map_threads(work: Callable[[Item], Result], items: Iterable[Item], workers: int) -> list[Result]:
+    """Return the results of ``work`` for all items, in their order, computed by at most ``workers`` threads. It pays if
+    ``work`` spends its time in NumPy and OpenCV, which run without the interpreter's lock."""
+    if workers == 1:
+        return [work(item) for item in items]
+    with ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(work, items))
 
 
 def run_jobs(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], workers: int) -> Iterator[Result]:

@@ -12,7 +12,7 @@ from fourd.capture.layout import DERIVED, MATTES
 from fourd.files import UNFINISHED, remove_unfinished, write_text_atomically
 from fourd.limits import read_json
 
-VERSION = 5
+VERSION = 6
 STATE = "mattes.json"
 MODEL_NAME = "subject.npz"
 SHEET = DERIVED / "mattes.png"

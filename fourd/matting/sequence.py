@@ -229,7 +229,7 @@ def _learn_subject_model(capture: Capture, settings: MatteSettings, path: Path, 
     frames = learning_frames(capture.frame_count, len(capture.cameras))
     samples = sample_capture(capture, frames, track)
     moments = reconstruct_moments(capture, frames, settings.seed, workers, track)
-    subject = learn_subject(samples, capture.names, settings.seed, track, moments)
+    subject = learn_subject(samples, capture.names, settings.seed, track, moments, workers)
     cameras = matting_cameras(capture)
     numbers = range(len(cameras))
     backgrounds = [

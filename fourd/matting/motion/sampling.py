@@ -19,7 +19,7 @@ Picture = NDArray[np.uint8]
 
 MAX_FRAMES = 24
 MIN_FRAMES = 8
-MAX_IMAGES = 324
+MAX_IMAGES = 648
 """Maximum number of sampled images of all cameras together, if this allows MIN_FRAMES frames. The time for learning is
 proportional to it."""
 MAX_PIXELS = 32 << 20

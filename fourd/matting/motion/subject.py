@@ -21,13 +21,14 @@ from fourd.capture.focus import find_focus
 from fourd.errors import UserError
 from fourd.matting.motion.agreement import MIN_SEEING_SHARE, VoxelGrid
 from fourd.matting.motion.colour_models import ColourHistogram
-from fourd.matting.motion.evidence import Appearance, combine_views, probability
+from fourd.matting.motion.evidence import Appearance, ViewEvidence, combine_views, probability
 from fourd.matting.motion.learner import Learner
 from fourd.matting.motion.local_evidence import LocalEvidence, local_evidence
 from fourd.matting.motion.motion_extent import MotionExtent
 from fourd.matting.motion.sampling import CameraSample
 from fourd.matting.solid.moments import Moments
 from fourd.matting.solid.subject import SolidSubject
+from fourd.parallel import map_threads
 from fourd.progress import Track
 
 Floats = NDArray[np.float32]
@@ -82,6 +83,7 @@ def learn_subject(
     seed: int,
     track: Track,
     moments: Moments | None = None,
+    workers: int = 1,
 ) -> Subject:
     """Learn the models of the subject and the backgrounds.
 
@@ -92,6 +94,7 @@ def learn_subject(
         track: progress callback.
         moments: points on all surfaces in some of the sampled frames, or None. They show parts of the subject that do
             not move.
+        workers: number of threads.
 
     Raises:
         UserError: if no region changes, or if the moving regions of the views do not intersect in space.
@@ -102,32 +105,45 @@ def learn_subject(
     place = _Place.of_motion(extents, cameras, names)
     if moments is not None:
         place = place.with_still_parts(moments, samples, extents)
-    rng = np.random.default_rng(seed)
-    inputs = zip(samples, extents, place.regions, place.shown, strict=True)
+    # Each camera has its own random numbers, so that the result does not depend on the number of workers.
+    rngs = np.random.default_rng(seed).spawn(len(samples))
+    inputs = zip(samples, extents, place.regions, rngs, place.shown, strict=True)
     learners = [
         Learner.from_motion(sample, extent, region, rng, masks)
-        for sample, extent, region, masks in track(inputs, len(samples), "initialisation")
+        for sample, extent, region, rng, masks in track(inputs, len(samples), "initialisation")
     ]
     _pool_subject_colours(learners)
     iterations = ITERATIONS + LOCAL_ITERATIONS
     for number in track(range(iterations), iterations, "learning"):
-        local = None if number < ITERATIONS else _local_evidence(learners)
-        frames = [
-            combine_views(
-                [learner.appearance for learner in learners],
-                [sample.rgb[frame] for sample in samples],
-                [sample.motion_px[frame].astype(np.float32) for sample in samples],
-                place.grid,
-                local,
-                [_solid_log_odds(masks, frame) for masks in place.shown] if place.has_still_parts else None,
-            )
-            for frame in range(len(samples[0].rgb))
-        ]
-        for index, learner in enumerate(learners):
-            alpha = np.stack([probability(views.log_odds[index]) for views in frames])
-            learner.update(alpha, np.stack([views.off_hull[index] for views in frames]), rng, local is not None)
-        _pool_subject_colours(learners)
+        _iterate(learners, place, rngs, number >= ITERATIONS, workers)
     return Subject(tuple(learner.appearance for learner in learners), cameras, place.box, place.min_seeing)
+
+
+def _iterate(
+    learners: Sequence[Learner], place: _Place, rngs: Sequence[np.random.Generator], is_local: bool, workers: int
+) -> None:
+    """Run one iteration of expectation maximisation, with local colours if ``is_local`` is true."""
+    local = _local_evidence(learners) if is_local else None
+
+    def combine(frame: int) -> ViewEvidence:
+        return combine_views(
+            [learner.appearance for learner in learners],
+            [learner.sample.rgb[frame] for learner in learners],
+            [learner.sample.motion_px[frame].astype(np.float32) for learner in learners],
+            place.grid,
+            local,
+            [_solid_log_odds(masks, frame) for masks in place.shown] if place.has_still_parts else None,
+        )
+
+    frames = map_threads(combine, range(len(learners[0].sample.rgb)), workers)
+
+    def update(index: int) -> None:
+        alpha = np.stack([probability(views.log_odds[index]) for views in frames])
+        off_hull = np.stack([views.off_hull[index] for views in frames])
+        learners[index].update(alpha, off_hull, rngs[index], is_local)
+
+    map_threads(update, range(len(learners)), workers)
+    _pool_subject_colours(learners)
 
 
 def _require_motion(samples: Sequence[CameraSample], extents: Sequence[MotionExtent]) -> None:

@@ -16,8 +16,8 @@ from fourd.stereo.view import StereoView
 
 MIN_CAMERAS = 10
 """Least number of cameras. With fewer, neighbouring cameras are mostly too far apart for stereo."""
-MOMENTS = 3
-MAX_DEPTH_MAPS = 100
+MOMENTS = 4
+MAX_DEPTH_MAPS = 120
 """Largest number of depth maps of all moments together, each of which takes about two seconds; but at least two moments
 are reconstructed."""
 
