@@ -87,7 +87,11 @@ class ColourDifferences:
             return f"not compared: {self.matches} matching points are too few"
         if self.differ:
             return f"the cameras differ by {self}; a run corrects this (--keep-colours: it does not)"
-        return f"{255 * self.before:.1f} of 255 levels between {self.matches} matching points; no correction is needed"
+        if 255 * self.before < MIN_DIFFERENCE_LEVELS:
+            return (
+                f"{255 * self.before:.1f} of 255 levels between {self.matches} matching points; no correction is needed"
+            )
+        return f"{self}; not corrected, because a gain hardly reduces the differences"
 
     def __str__(self) -> str:
         before, after = (f"{255 * value:.1f}" for value in (self.before, self.after))
