@@ -122,7 +122,7 @@ def run_background(files: BackgroundFiles, settings: BackgroundSettings, context
         near = feature_near(stereo.feature_depths)
         points = _find_points(plates, stereo, settings, near, context)
         points = _add_shell(points, [plate.camera for plate in plates], context)
-        points = _fill_holes(points, plates, near or fallback_near(cameras), context)
+        points = _fill_holes(points, plates, settings.near or near or fallback_near(cameras), context)
     write_static_near(files.run, near)
     write_ply(target, points.xyz, points.rgb)
 
