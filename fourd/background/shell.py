@@ -145,17 +145,6 @@ def direction_coverage(points: ColouredPoints, centre: Array, cameras: Sequence[
     return float((closed * weight).sum() / (sphere.columns * weight.sum()))
 
 
-def viewing_centre(cameras: Sequence[Camera]) -> Array:
-    """Compute the world point (3,) with the smallest sum of squared distances to the cameras' optical axes, or the mean
-    camera centre if the axes are parallel."""
-    centres = np.stack([camera.centre for camera in cameras])
-    projectors = np.stack([np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras])
-    normal = projectors.sum(axis=0)
-    if np.linalg.cond(normal) > 1e8:
-        return np.asarray(centres.mean(axis=0))
-    return np.asarray(np.linalg.solve(normal, np.einsum("nij,nj->i", projectors, centres)))
-
-
 def _select_cells(sphere: DirectionGrid, known: Bools) -> tuple[NDArray[np.intp], NDArray[np.intp], Bools]:
     """Select the cells that get a shell point: unknown cells and a rim of known cells.
 

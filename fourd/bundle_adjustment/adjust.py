@@ -16,12 +16,11 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from fourd.background.plates import PlateView
 from fourd.bundle_adjustment.solver import Prior, reprojection_errors_px, solve
 from fourd.bundle_adjustment.tracks import FrameMatches, Observations, build_tracks, triangulate_points
 from fourd.cameras import Camera
 from fourd.capture.layout import sample_indices
-from fourd.carving.mask_source import MaskSource
+from fourd.capture.pictures.mask_source import MaskSource
 from fourd.parallel import core_count
 from fourd.progress import Track
 from fourd.stereo.features import (
@@ -33,6 +32,7 @@ from fourd.stereo.features import (
     read_features,
     write_pictures,
 )
+from fourd.stereo.view import StereoView
 
 MAX_FRAMES = 2
 MIN_FEATURES = 20
@@ -135,7 +135,9 @@ def _frame_features(capture: MaskSource, cameras: Sequence[int], frame: int, tra
     views = []
     for index in cameras:
         picture = capture.image(index, frame)
-        views.append(PlateView(capture.names[index], capture.cameras[index], picture, np.ones(picture.shape[:2], bool)))
+        views.append(
+            StereoView(capture.names[index], capture.cameras[index], picture, np.ones(picture.shape[:2], bool))
+        )
     with tempfile.TemporaryDirectory(prefix="fourd-cameras-") as name, QuietColmap():
         folder = Path(name)
         database = folder / "database.db"

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.background.shell import viewing_centre
 from fourd.bundle_adjustment.adjust import adjust_to_matches
 from fourd.bundle_adjustment.solver import Prior
 from fourd.bundle_adjustment.tracks import FrameMatches
@@ -24,6 +23,7 @@ from fourd.calibration.matching import Matches, undistort_points
 from fourd.calibration.principal_points import MAX_COMBINATIONS, choose_principal_points
 from fourd.calibration.residuals import Pair, compute_residuals
 from fourd.cameras import Camera
+from fourd.capture.focus import viewing_centre
 from fourd.stereo.features import Features
 
 Feature = tuple[int, int]

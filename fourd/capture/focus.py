@@ -50,6 +50,17 @@ def find_focus(cameras: Sequence[Camera]) -> Array | None:
     )
 
 
+def viewing_centre(cameras: Sequence[Camera]) -> Array:
+    """Compute the world point (3,) with the smallest sum of squared distances to the cameras' optical axes, or the mean
+    camera centre if the axes are parallel."""
+    centres = np.stack([camera.centre for camera in cameras])
+    projectors = np.stack([np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras])
+    normal = projectors.sum(axis=0)
+    if np.linalg.cond(normal) > 1e8:
+        return np.asarray(centres.mean(axis=0))
+    return np.asarray(np.linalg.solve(normal, np.einsum("nij,nj->i", projectors, centres)))
+
+
 def median_distance(cameras: Sequence[Camera], point: Array) -> float:
     """Return the median distance of the cameras from a world point (3,), in world units."""
     return float(np.median([np.linalg.norm(camera.centre - point) for camera in cameras]))

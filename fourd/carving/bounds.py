@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Array, Camera
 from fourd.capture.layout import sample_indices
+from fourd.capture.pictures.mask_source import MaskSource, frame_masks
 from fourd.carving.hull import Silhouettes, refine, root_cells, view_distance
-from fourd.carving.mask_source import MaskSource, frame_masks
 from fourd.errors import UserError
 from fourd.progress import Track, untracked
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture.layout import sample_indices
+from fourd.capture.pictures.mask_source import MaskSource, frame_masks
 from fourd.carving.coherence import frame_coherence
-from fourd.carving.mask_source import MaskSource, frame_masks
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
 from fourd.limits import read_json

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from fourd.cameras import Camera
 from fourd.capture.calibration import EXTRINSICS_NAME
 from fourd.capture.layout import sample_indices
+from fourd.capture.pictures.mask_source import MaskSource, frame_masks
 from fourd.carving.coherence import frame_coherence
-from fourd.carving.mask_source import MaskSource, frame_masks
 from fourd.errors import UserError
 
 MOMENTS = 3

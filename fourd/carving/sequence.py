@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture.layout import refuse_symlinks
+from fourd.capture.pictures.mask_source import MaskSource, frame_masks
 from fourd.carving.bounds import Bounds, find_bounds
 from fourd.carving.carve import carve_frame
 from fourd.carving.colour import colour_points
-from fourd.carving.mask_source import MaskSource, frame_masks
 from fourd.errors import UserError
 from fourd.files import remove_unfinished, write_text_atomically
 from fourd.formats.ply import read_ply, write_ply

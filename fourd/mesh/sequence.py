@@ -14,8 +14,8 @@ from pathlib import Path
 from fourd.cameras import Array, estimate_up
 from fourd.capture import Capture
 from fourd.capture.layout import refuse_symlinks
+from fourd.capture.pictures.mask_source import frame_masks
 from fourd.carving.bounds import hull_bounds
-from fourd.carving.mask_source import frame_masks
 from fourd.carving.sequence import settings_key
 from fourd.errors import UserError, command_line
 from fourd.files import remove_unfinished, write_text_atomically

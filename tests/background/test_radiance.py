@@ -20,8 +20,8 @@ from fourd.background.radiance.pixels import Pixels
 from fourd.background.radiance.rays import MAX_NEAR, NEAR, RayRange, Rays, camera_rays, resample_edges
 from fourd.background.radiance.room_depth import Room as RoomShape
 from fourd.background.radiance.volume_rendering import distortion_loss, rendering_weights, weight_quantile
-from fourd.background.shell import viewing_centre
 from fourd.cameras import Camera
+from fourd.capture.focus import viewing_centre
 from fourd.errors import UserError
 from fourd.progress import untracked
 from fourd.stereo.depth_maps import ReducedPlate, StereoResult, reconstruct_surfaces

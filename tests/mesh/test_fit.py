@@ -10,8 +10,8 @@ import torch
 import trimesh
 
 from fourd.capture import Capture, open_capture
+from fourd.capture.pictures.mask_source import frame_masks
 from fourd.carving.bounds import Bounds
-from fourd.carving.mask_source import frame_masks
 from fourd.errors import UserError
 from fourd.mesh.fitting.fit import fit_mesh
 from fourd.mesh.fitting.hull_distance import DistanceGrid, hull_distance_grid

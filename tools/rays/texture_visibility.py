@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera
 from fourd.capture import open_capture
-from fourd.carving.mask_source import frame_masks
+from fourd.capture.pictures.mask_source import frame_masks
 from fourd.mesh.files.glb import read_mesh
 from fourd.mesh.texturing.atlas import Atlas, find_texels
 from fourd.mesh.texturing.blending import blend_views

@@ -16,10 +16,10 @@ from fourd.background.radiance.optimization import optimize_field
 from fourd.background.radiance.pixels import Pixels
 from fourd.background.radiance.rays import RayRange
 from fourd.background.radiance.room_depth import Room
-from fourd.background.shell import viewing_centre
 from fourd.background.surfaces.colouring import sample_coloured_points
 from fourd.background.surfaces.completion import complete_surfaces
 from fourd.background.surfaces.guidance import complete_with_guidance
+from fourd.capture.focus import viewing_centre
 from fourd.errors import UserError
 from fourd.formats.ply import ColouredPoints
 from fourd.progress import Log, Track, untracked

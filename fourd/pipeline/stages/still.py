@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.background.shell import viewing_centre
 from fourd.capture import open_capture
+from fourd.capture.focus import viewing_centre
 from fourd.capture.layout import DERIVED, link_entries
 from fourd.carving import Bounds
 from fourd.carving.sequence import BOUNDS_NAME

@@ -17,9 +17,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fourd.background.shell import viewing_centre
 from fourd.cameras import Array, Camera
-from fourd.capture.focus import median_distance
+from fourd.capture.focus import median_distance, viewing_centre
 from fourd.capture.layout import sample_indices
 from fourd.errors import UserError
 from fourd.files import write_text_atomically

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.background.shell import viewing_centre
 from fourd.bundle_adjustment.adjust import adjust_cameras
 from fourd.bundle_adjustment.solver import Prior
 from fourd.capture import Capture
 from fourd.capture.calibration import INTRINSICS_NAME
+from fourd.capture.focus import viewing_centre
 from fourd.errors import UserError
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS

@@ -17,8 +17,9 @@ from fourd.background.plate_changes import find_changing_backgrounds
 from fourd.background.plates import PlateView
 from fourd.background.radiance.config import RadianceConfig
 from fourd.background.radiance.from_radiance import seed_from_radiance
-from fourd.background.shell import build_shell, direction_coverage, viewing_centre
+from fourd.background.shell import build_shell, direction_coverage
 from fourd.cameras import Camera
+from fourd.capture.focus import viewing_centre
 from fourd.errors import UserError
 from fourd.formats.ply import ColouredPoints, read_ply, write_ply
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
