@@ -12,12 +12,22 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
+import numpy as np
 import tyro
+from numpy.typing import NDArray
 
+from fourd.baking import Scene, open_scene
+from fourd.cameras import Camera
+from fourd.capture import open_capture
 from fourd.cli.main import main as fourd
 from fourd.errors import command_line
+from fourd.files import atomic_path
+from fourd.viewer.navigation.paths import orbit
 
 TEST_VIEWS = "03,09"
+FIGURE_HEIGHT = 360
+FIGURE_BACKGROUND = 245
 
 
 @dataclass(frozen=True)
@@ -28,6 +38,9 @@ class Arguments:
     """Folder for all files. Stages whose results it already contains are skipped."""
     seconds: int = 320
     """Time limit of training in seconds."""
+    figure: Path | None = None
+    """PNG file for a figure of the ground truth and the rendering of a held-out view, and of three novel views.
+    docs/figures/demo.png is such a figure."""
 
 
 def step(*words: object) -> None:
@@ -37,6 +50,36 @@ def step(*words: object) -> None:
     code = fourd(arguments)
     if code != 0:
         sys.exit(code)
+
+
+def draw_figure(scene_path: Path, capture_path: Path, out: Path) -> None:
+    """Write the figure of the option --figure."""
+    scene, capture = open_scene(scene_path), open_capture(capture_path)
+    index = capture.names.index(scene.manifest.other_names[0])
+    camera = capture.cameras[index].resize(FIGURE_HEIGHT, FIGURE_HEIGHT)
+    matte = capture.mask(index, 0)[..., None] / 255
+    truth = capture.image(index, 0) * matte + FIGURE_BACKGROUND * (1 - matte)
+    tiles = [_titled(cv2.resize(truth.astype(np.uint8), (FIGURE_HEIGHT, FIGURE_HEIGHT)), "photograph, held out")]
+    tiles.append(_titled(_rendered(scene, camera, 0), "fourd, same view"))
+    focus = np.asarray(scene.manifest.focus)
+    path = orbit(list(scene.manifest.cameras), 12, focus=focus, size=(FIGURE_HEIGHT, FIGURE_HEIGHT))
+    for place in (2, 5, 8):
+        frame = place * scene.manifest.frame_count // 12
+        tiles.append(_titled(_rendered(scene, path[place], frame), f"new view, frame {frame}"))
+    with atomic_path(out) as temporary:
+        cv2.imwrite(str(temporary), cv2.cvtColor(np.concatenate(tiles, axis=1), cv2.COLOR_RGB2BGR))
+
+
+def _rendered(scene: Scene, camera: Camera, frame: int) -> NDArray[np.uint8]:
+    background = np.full(3, FIGURE_BACKGROUND / 255, np.float32)
+    return (scene.render(camera, frame, background=background).rgb.clip(0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def _titled(tile: NDArray[np.uint8], title: str) -> NDArray[np.uint8]:
+    """Crop an image to the middle two thirds of its width, and write a title in the top left corner."""
+    side = FIGURE_HEIGHT // 6
+    tile = np.ascontiguousarray(tile[:, side:-side])
+    return np.asarray(cv2.putText(tile, title, (8, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (60, 60, 60), 1, cv2.LINE_AA))
 
 
 def main() -> None:
@@ -51,6 +94,8 @@ def main() -> None:
     step("make", capture, "-o", scene, "--test-views", TEST_VIEWS, "--max-seconds", arguments.seconds)
     step("eval", run, "--json", figures)
     step("render", scene, "--path", "orbit", "--out", video, "--size", 512, 512)
+    if arguments.figure is not None:
+        draw_figure(scene, capture, arguments.figure)
     scores = json.loads(figures.read_text())
     megabytes = scene.stat().st_size / 2**20
     print(

@@ -45,11 +45,15 @@ fi
 # The table is printed even if a test fails. The script's exit status reports the failure.
 failed=0
 "$python" -m pytest "${tests[@]}" || failed=1
-"$python" "$OLDPWD/tools/gpu_table.py"
+speed=$OLDPWD/tools/measurements/speed
+"$python" "$speed/gpu_table.py"
 # Test and measure the viewer's OpenGL renderers through EGL on the same GPU, if their Python packages are installed.
 if "$python" -c "import moderngl, tyro, OpenGL, scipy" 2>/dev/null; then
   "$python" -m pytest -q tests/viewer/rendering/test_renderers.py || failed=1
-  for size in "1920 1080" "3840 2160"; do "$python" "$OLDPWD/tools/viewer_table.py" --size $size --seconds 1; done
+  for size in "1920 1080" "3840 2160"; do
+    # The source tree, which has tools/, comes after the package just built.
+    PYTHONPATH=$PYTHONPATH:$OLDPWD "$python" "$speed/viewer_table.py" --size $size --seconds 1
+  done
 else
   echo "gpu_check: OpenGL is neither tested nor timed; it needs moderngl, tyro, PyOpenGL and scipy"
 fi

@@ -6,7 +6,16 @@ from dataclasses import replace
 
 import pytest
 
-from tools.scale.cost_model import Capture, Costs, Machines, makespan, predict, segment_core_s, segments_core_s, table
+from tools.measurements.cluster.cost_model import (
+    Capture,
+    Costs,
+    Machines,
+    makespan,
+    predict,
+    segment_core_s,
+    segments_core_s,
+    table,
+)
 
 COSTS = Costs.load()
 STUDIO = Capture(60, 18000, 3840 * 2160 / 1e6)

@@ -13,7 +13,7 @@ import pytest
 
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Context
-from tools.scale.simulated_stages import Simulation, UnitCounts
+from tools.measurements.cluster.simulated_stages import Simulation, UnitCounts
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -62,7 +62,7 @@ def test_a_cluster_whose_nodes_fail_makes_the_same_scene() -> None:
     """Catches a lost node that ends the command, a scene with an incomplete segment, and a progress bar with wrong
     values."""
     words = ["--nodes", "3", "--frames", "480", "--units", "4", "--seconds", "1", "--failures", "2", "--interval", "4"]
-    command = [sys.executable, "tools/scale/simulate_cluster.py", *words]
+    command = [sys.executable, "tools/measurements/cluster/simulate_cluster.py", *words]
     printed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert "scene: same" in printed
     assert "to (5, 5)" in printed

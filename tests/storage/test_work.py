@@ -28,7 +28,7 @@ from tests.captures import write_ball_capture
 from tests.matting.captures import write_capture_without_masks, write_video
 from tests.pipeline.test_stage import copy_stage
 from tests.storage.s3_server import Bucket, put_folder, unfinished_uploads
-from tools.scale.local_nodes import PATIENT, TRAINED, LocalNodes, local_nodes
+from tools.measurements.cluster.local_nodes import PATIENT, TRAINED, LocalNodes, local_nodes
 
 OVERLAY = """\
 points: 500
