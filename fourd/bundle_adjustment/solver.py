@@ -1,9 +1,8 @@
 """Bundle adjustment with a prior on the given calibration.
 
-The solver uses the Levenberg-Marquardt algorithm. The points are eliminated with the Schur complement (Triggs et al.,
-Bundle Adjustment - a Modern Synthesis, 2000, sec. 6.1). The cost is the sum of two terms: the reprojection error with a
-Cauchy loss, and a Gaussian prior on the correction of each camera. The prior fixes the gauge: without it, the cost
-would not change if all cameras and points were rotated, translated or scaled together.
+The cost is the sum of two terms: the reprojection error with a Cauchy loss, and a Gaussian prior on the correction of
+each camera. The prior fixes the gauge: without it, the cost would not change if all cameras and points were rotated,
+translated or scaled together. :mod:`fourd.optimization` minimises the cost and eliminates the points.
 """
 
 from __future__ import annotations
@@ -14,10 +13,11 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import bsr_array
 
 from fourd.bundle_adjustment.tracks import Observations
 from fourd.cameras import Camera
+from fourd.optimization.levenberg_marquardt import Rules, Trial, minimize
+from fourd.optimization.schur import NormalEquations, SparseCoupling
 
 Array = NDArray[np.float64]
 
@@ -26,11 +26,9 @@ ROTATION, POSITION, LOG_FOCAL, PRINCIPAL = slice(0, 3), slice(3, 6), 6, slice(7,
 parameters."""
 PARAMETERS = 9
 """Number of parameters per camera."""
-MAX_STEPS = 40
-MIN_RELATIVE_DECREASE = 1e-5
-"""The solver stops when a step decreases the cost by less than this fraction of the cost."""
-DAMPING = 1e-3
-"""Initial damping factor of the Levenberg-Marquardt algorithm."""
+RULES = Rules(max_steps=40, max_trials=8, min_relative_decrease=1e-5, min_damping=1e-9)
+RIDGE = 1e-12
+"""Number that is added to the diagonals of the points' equations."""
 
 
 @dataclass(frozen=True)
@@ -76,31 +74,9 @@ def solve(
     Returns:
         the optimised cameras, and the optimised points (P, 3). Cameras without features keep their given calibration.
     """
-    state = _State(tuple(start), xyz)
-    damping, cost = DAMPING, _cost(state, given, tracks, prior, scale_px)
-    for _ in range(MAX_STEPS):
-        system = _System.at(state, given, tracks, prior, scale_px)
-        gain = 0.0
-        for _ in range(8):
-            trial = _try_step(system, state, damping)
-            after = np.inf if trial is None else _cost(trial, given, tracks, prior, scale_px)
-            if trial is not None and after < cost:
-                gain = (cost - after) / cost
-                state, cost, damping = trial, after, max(damping / 10, 1e-9)
-                break
-            damping *= 10
-        if gain < MIN_RELATIVE_DECREASE:
-            break
+    problem = _Problem(given, tracks, prior, scale_px)
+    state = minimize(problem.linearize, _State(tuple(start), xyz), RULES)
     return state.cameras, state.xyz
-
-
-def _try_step(system: _System, state: _State, damping: float) -> _State | None:
-    """Return the state after a step, or None if the normal equations are singular or the step is not finite. A step
-    with more damping can then succeed."""
-    try:
-        return system.step(state, damping)
-    except (np.linalg.LinAlgError, ValueError, cv2.error):
-        return None
 
 
 def reprojection_errors_px(tracks: Observations, cameras: Sequence[Camera], xyz: Array) -> Array:
@@ -110,73 +86,67 @@ def reprojection_errors_px(tracks: Observations, cameras: Sequence[Camera], xyz:
 
 
 @dataclass(frozen=True, eq=False)
-class _System:
-    """The normal equations of V cameras and P points, stored as blocks.
+class _Problem:
+    """The arguments of :func:`solve`, except the initial state."""
 
-    Attributes:
-        cameras: (V, 9, 9) diagonal blocks of the cameras.
-        points: (P, 3, 3) diagonal blocks of the points.
-        coupling: (M, 9, 3) blocks, one per feature, that couple the camera and the point of the feature.
-        rhs_cameras: (V, 9) right-hand side of the cameras' equations.
-        rhs_points: (P, 3) right-hand side of the points' equations.
-        tracks: the M observed features.
-    """
-
-    cameras: Array
-    points: Array
-    coupling: Array
-    rhs_cameras: Array
-    rhs_points: Array
+    given: Sequence[Camera]
     tracks: Observations
+    prior: Prior
+    scale_px: float
 
-    @classmethod
-    def at(cls, state: _State, given: Sequence[Camera], tracks: Observations, prior: Prior, scale_px: float) -> _System:
-        """Linearise the cost at ``state``, and build the normal equations."""
+    def linearize(self, state: _State) -> _Model:
+        """Linearise the cost at ``state``, and build the normal equations of the V cameras and P points."""
+        tracks, prior, views, points = self.tracks, self.prior, len(self.given), len(state.xyz)
         residual, in_camera = _residuals(state, tracks)
-        weight = _weights(residual, in_camera, prior, scale_px)
+        weight = _weights(residual, in_camera, prior, self.scale_px)
         by_camera, by_point = _jacobians(state, tracks, in_camera)
         by_camera[:, :, ~_free(prior)] = 0
         weighted = by_camera * weight[:, None, None]
-        views, points = len(given), len(state.xyz)
         cameras, rhs_cameras = np.zeros((views, PARAMETERS, PARAMETERS)), np.zeros((views, PARAMETERS))
         np.add.at(cameras, tracks.camera, np.swapaxes(weighted, 1, 2) @ by_camera)
         np.add.at(rhs_cameras, tracks.camera, -np.einsum("mij,mi->mj", weighted, residual))
-        precision, off = _prior_precision(prior, views), _corrections(state.cameras, given)
+        precision, off = _prior_precision(prior, views), _corrections(state.cameras, self.given)
         cameras += precision[:, :, None] * np.eye(PARAMETERS)
         rhs_cameras -= precision * off
+        whole = np.zeros((views, PARAMETERS, views, PARAMETERS))
+        whole[np.arange(views), :, np.arange(views)] = cameras
+        kept = whole.reshape(views * PARAMETERS, -1)
         blocks, rhs_points = np.zeros((points, 3, 3)), np.zeros((points, 3))
         np.add.at(blocks, tracks.point, np.swapaxes(by_point * weight[:, None, None], 1, 2) @ by_point)
         np.add.at(rhs_points, tracks.point, -np.einsum("mij,mi->mj", by_point * weight[:, None, None], residual))
-        return cls(cameras, blocks, np.swapaxes(weighted, 1, 2) @ by_point, rhs_cameras, rhs_points, tracks)
-
-    def step(self, state: _State, damping: float) -> _State:
-        """Compute the state after a Levenberg-Marquardt step.
-
-        The diagonal of the normal equations is multiplied by 1 + ``damping``.
-        """
-        views, points = len(self.cameras), len(self.points)
-        cameras = self.cameras * (1 + damping * np.eye(PARAMETERS))
-        inverse = np.linalg.inv(self.points * (1 + damping * np.eye(3)) + 1e-12 * np.eye(3))
-        coupled = _sparse_blocks(self.coupling, self.tracks.camera, self.tracks.point, (views, points))
-        eliminated = _sparse_blocks(
-            self.coupling @ inverse[self.tracks.point], self.tracks.camera, self.tracks.point, (views, points)
+        coupling = SparseCoupling.from_blocks(
+            np.swapaxes(weighted, 1, 2) @ by_point, tracks.camera, tracks.point, (views, points)
         )
-        whole = np.zeros((views, PARAMETERS, views, PARAMETERS))
-        whole[np.arange(views), :, np.arange(views)] = cameras
-        reduced = whole.reshape(views * PARAMETERS, -1) - (eliminated @ coupled.T).toarray()
-        step = np.linalg.solve(reduced, self.rhs_cameras.ravel() - eliminated @ self.rhs_points.ravel())
-        point_step = np.einsum("pij,pj->pi", inverse, self.rhs_points - (coupled.T @ step).reshape(points, 3))
-        camera_steps = step.reshape(views, PARAMETERS)
-        return _State(tuple(map(_update_camera, state.cameras, camera_steps)), state.xyz + point_step)
+        equations = NormalEquations(kept, blocks, coupling, rhs_cameras.ravel(), rhs_points, RIDGE)
+        return _Model(self, state, self.cost(state), equations)
+
+    def cost(self, state: _State) -> float:
+        residual, in_camera = _residuals(state, self.tracks)
+        square = np.where(in_camera[:, 2] > 1e-6, np.square(residual).sum(axis=1), 1e6)
+        robust = self.scale_px**2 * np.log1p(square / self.scale_px**2) / self.prior.pixel**2
+        off = _corrections(state.cameras, self.given)
+        return float(robust.sum() + (_prior_precision(self.prior, len(self.given)) * off**2).sum())
 
 
-def _sparse_blocks(
-    values: Array, rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, int]
-) -> bsr_array:
-    order = np.lexsort((columns, rows))
-    starts = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=shape[0]))])
-    size = (shape[0] * values.shape[1], shape[1] * values.shape[2])
-    return bsr_array((values[order], columns[order], starts), shape=size)
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """The quadratic model of the cost at one state."""
+
+    problem: _Problem
+    state: _State
+    cost: float
+    equations: NormalEquations[SparseCoupling]
+
+    def try_step(self, damping: float) -> Trial[_State]:
+        """Make a step. It is rejected if the normal equations are singular or the step is not finite. A step with more
+        damping can then succeed."""
+        try:
+            steps, point_steps = self.equations.solve(damping)
+            cameras = map(_update_camera, self.state.cameras, steps.reshape(-1, PARAMETERS))
+            state = _State(tuple(cameras), self.state.xyz + point_steps)
+        except (np.linalg.LinAlgError, ValueError, cv2.error):
+            return Trial(self.state, np.inf)
+        return Trial(state, self.problem.cost(state))
 
 
 def _residuals(state: _State, tracks: Observations) -> tuple[Array, Array]:
@@ -263,11 +233,3 @@ def _weights(residual: Array, in_camera: Array, prior: Prior, scale_px: float) -
     for points behind the camera."""
     weight = 1 / (1 + np.square(residual).sum(axis=1) / scale_px**2) / prior.pixel**2
     return np.where(in_camera[:, 2] > 1e-6, weight, 0)
-
-
-def _cost(state: _State, given: Sequence[Camera], tracks: Observations, prior: Prior, scale_px: float) -> float:
-    residual, in_camera = _residuals(state, tracks)
-    square = np.where(in_camera[:, 2] > 1e-6, np.square(residual).sum(axis=1), 1e6)
-    robust = scale_px**2 * np.log1p(square / scale_px**2) / prior.pixel**2
-    off = _corrections(state.cameras, given)
-    return float(robust.sum() + (_prior_precision(prior, len(given)) * off**2).sum())

@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 from fourd.board_calibration.adjustment.motion import board_motion
 from fourd.board_calibration.adjustment.noise import ViewNoise, estimate_noise, group_views, shared_derivatives, weigh
 from fourd.board_calibration.adjustment.rig import Corners, RigState, project
-from fourd.board_calibration.adjustment.solver import Errors, solve_rig, standard_deviations
+from fourd.board_calibration.adjustment.solver import RULES, Errors, solve_rig, standard_deviations
 from fourd.board_calibration.adjustment.system import Free
 
 Array = NDArray[np.float64]
 
 ROUNDS = 10
-STEPS = 2
-"""Largest number of solver steps in each round of :func:`refine_rig`. The final adjustment after the rounds has the
-larger default limit of :func:`solve_rig`."""
-DAMPING = 1e-6
-"""Initial damping factor of each round."""
+FINAL_RULES = replace(RULES, damping=1e-6)
+"""Rules of the final adjustment of :func:`refine_rig`. A small damping factor saves steps near the minimum."""
+ROUND_RULES = replace(FINAL_RULES, max_steps=2)
+"""Rules of the adjustments in the rounds before."""
 HUBER = 1.0
 """Scale of the Huber loss, as a multiple of the corners' standard deviation."""
 TURN_STD, SHIFT_STD, JITTER_STD = 1e-3, 2e-4, 0.05
@@ -67,11 +66,11 @@ def refine_rig(start: RigState, corners: Corners, frames: Sequence[int], free: F
     state = start
     for _ in range(ROUNDS):
         state = with_motion(state, frames)
-        state = solve_rig(state, corners, free, _errors(noise), steps=STEPS, damping=DAMPING)
+        state = solve_rig(state, corners, free, _errors(noise), ROUND_RULES)
         before, noise = noise, _improve(state, corners, noise, floor)
         if _largest_change(before, noise) < CONVERGED:
             break
-    state = solve_rig(with_motion(state, frames), corners, free, _errors(noise), damping=DAMPING)
+    state = solve_rig(with_motion(state, frames), corners, free, _errors(noise), FINAL_RULES)
     return Solution(state, standard_deviations(state, corners, free, _errors(noise)))
 
 

@@ -1,10 +1,9 @@
 """Bundle adjustment of a rig, the shape of a board and its poses.
 
-The solver is the Levenberg-Marquardt algorithm. Iteratively reweighted least squares implement the Huber loss. The
-errors that all corners of one image share (see :mod:`fourd.board_calibration.adjustment.noise`) and the poses of the
-board are eliminated by Schur complements (Triggs et al., Bundle Adjustment - a Modern Synthesis, 2000, sec. 6.1), so
-the computing time grows linearly with the number of frames. The covariance of the cameras' parameters is computed from
-the matrix of the reduced normal equations.
+Iteratively reweighted least squares implement the Huber loss. The errors that all corners of one image share (see
+:mod:`fourd.board_calibration.adjustment.noise`) and the poses of the board are eliminated by Schur complements, so the
+computing time grows linearly with the number of frames. The covariance of the cameras' parameters is computed from the
+matrix of the reduced normal equations.
 """
 
 from __future__ import annotations
@@ -29,17 +28,15 @@ from fourd.board_calibration.adjustment.rig import (
     lens_vector,
     project,
 )
-from fourd.board_calibration.adjustment.system import Free, System, build_system, squared_error
+from fourd.board_calibration.adjustment.system import Free, RigEquations, build_system, squared_error
 from fourd.cameras import Camera
+from fourd.optimization.levenberg_marquardt import Rules, Trial, minimize
 
 Array = NDArray[np.float64]
 
-MAX_STEPS = 60
-MAX_TRIALS = 8
-DAMPING = 1e-3
-"""Initial damping factor of the Levenberg-Marquardt algorithm."""
 MIN_RELATIVE_DECREASE = 1e-6
 """The solver stops when a step decreases the cost by less than this fraction of the cost."""
+RULES = Rules(max_steps=60, max_trials=8, min_relative_decrease=MIN_RELATIVE_DECREASE, min_damping=1e-10)
 PRIOR_ASPECT = 0.005
 """Standard deviation of the prior on log(fx / fy). The mean of the prior is 0, because most cameras
 have square pixels.
@@ -71,15 +68,7 @@ class Errors:
     huber_px: Array
 
 
-def solve_rig(
-    start: RigState,
-    corners: Corners,
-    free: Free,
-    errors: Errors,
-    *,
-    steps: int = MAX_STEPS,
-    damping: float = DAMPING,
-) -> RigState:
+def solve_rig(start: RigState, corners: Corners, free: Free, errors: Errors, rules: Rules = RULES) -> RigState:
     """Minimise the Huber loss of the reprojection errors, with a weak prior on lenses, timing and shape.
 
     Args:
@@ -88,30 +77,68 @@ def solve_rig(
         free: parameters that are adjusted. One camera's pose should be fixed, because moving all cameras and boards
             together would not change the cost.
         errors: model of the corners' errors.
-        steps: largest number of steps.
-        damping: initial damping factor. A small factor saves steps near the minimum.
+        rules: rules of the solver.
     """
-    state = start
-    views = group_views(corners)
-    for _ in range(steps):
-        weights, shared = _weigh(state, corners, views, errors)
-        cost = _cost(state, corners, views, free, errors, weights, shared)
-        system = _with_prior(build_system(state, corners, views, free, errors.noise, weights), state, free)
-        enough = MIN_RELATIVE_DECREASE * cost
-        gain = 0.0
-        for _ in range(MAX_TRIALS):
-            step = system.step(damping)
-            if system.predicted_decrease(*step) < enough:
-                break
-            trial = move(state, free, *step)
-            after = _cost(trial, corners, views, free, errors, weights, shared)
-            if after < cost:
-                gain, state, damping = cost - after, trial, max(damping / 10, 1e-10)
-                break
-            damping *= 10
-        if gain < enough:
-            break
-    return state
+    problem = _Problem(corners, group_views(corners), free, errors)
+    return minimize(problem.linearize, start, rules)
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The arguments of :func:`solve_rig`, with the corners grouped by view."""
+
+    corners: Corners
+    views: Views
+    free: Free
+    errors: Errors
+
+    def linearize(self, state: RigState) -> _Model:
+        """Compute the weights at ``state``, and linearise the cost with these weights."""
+        weights, shared = _weigh(state, self.corners, self.views, self.errors)
+        plain, _ = build_system(state, self.corners, self.views, self.free, self.errors.noise, weights)
+        cost = self.cost(state, weights, shared)
+        return _Model(self, state, cost, weights, shared, _with_prior(plain, state, self.free))
+
+    def cost(self, state: RigState, weights: Weights, shared: Array) -> float:
+        corners = self.corners
+        found = project(state, corners)
+        if (found.depth < MIN_DEPTH).any():
+            return float("inf")
+        scale = np.sqrt(weights.corner) / self.errors.noise.corner_px[corners.camera]
+        precision, offset = _prior(state, self.free)
+        residual = corners.pixels - found.pixels
+        error = squared_error(residual, shared, self.views, self.errors.noise, weights, scale)
+        return error + float(offset @ precision @ offset)
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """The quadratic model of the cost at one state.
+
+    Attributes:
+        problem: the problem to solve.
+        state: the state.
+        cost: the cost at the state.
+        weights: the weights of the squared errors at the state.
+        shared: (N, 2, 7) the derivatives of the projected corners with respect to the errors that all corners of a view
+            share.
+        equations: the normal equations, with the prior.
+    """
+
+    problem: _Problem
+    state: RigState
+    cost: float
+    weights: Weights
+    shared: Array
+    equations: RigEquations
+
+    def try_step(self, damping: float) -> Trial[RigState]:
+        """Make a step, unless the model predicts that it would hardly decrease the cost."""
+        step = self.equations.solve(damping)
+        if self.equations.predicted_decrease(*step) < MIN_RELATIVE_DECREASE * self.cost:
+            return Trial(self.state, self.cost, is_last=True)
+        state = move(self.state, self.problem.free, *step)
+        return Trial(state, self.problem.cost(state, self.weights, self.shared))
 
 
 def move(state: RigState, free: Free, shared: Array, boards: Array) -> RigState:
@@ -144,24 +171,12 @@ def _weigh(state: RigState, corners: Corners, views: Views, errors: Errors) -> t
     return weigh(views, residual, shared, errors.noise, corners.camera, errors.huber_px), shared
 
 
-def _cost(
-    state: RigState, corners: Corners, views: Views, free: Free, errors: Errors, weights: Weights, shared: Array
-) -> float:
-    found = project(state, corners)
-    if (found.depth < MIN_DEPTH).any():
-        return float("inf")
-    scale = np.sqrt(weights.corner) / errors.noise.corner_px[corners.camera]
-    precision, offset = _prior(state, free)
-    error = squared_error(corners.pixels - found.pixels, shared, views, errors.noise, weights, scale)
-    return error + float(offset @ precision @ offset)
-
-
-def _with_prior(system: System, state: RigState, free: Free) -> System:
+def _with_prior(equations: RigEquations, state: RigState, free: Free) -> RigEquations:
     """Add the prior to the normal equations, and 1 to the diagonal elements of fixed parameters."""
     precision, offset = _prior(state, free)
     fixed = np.concatenate([~free.cameras.ravel(), np.zeros(free.shape_unknowns, bool)])
-    shared = system.shared + precision + np.diag(fixed.astype(float))
-    return replace(system, shared=shared, rhs_shared=system.rhs_shared - precision @ offset)
+    kept = equations.kept + precision + np.diag(fixed.astype(float))
+    return replace(equations, kept=kept, rhs_kept=equations.rhs_kept - precision @ offset)
 
 
 def _prior(state: RigState, free: Free) -> tuple[Array, Array]:
@@ -212,12 +227,12 @@ def standard_deviations(state: RigState, corners: Corners, free: Free, errors: E
     """
     views = group_views(corners)
     weights, _ = _weigh(state, corners, views, errors)
-    plain = build_system(state, corners, views, free, errors.noise, weights)
+    plain, gradients = build_system(state, corners, views, free, errors.noise, weights)
     reduced, eliminated = _with_prior(plain, state, free).reduce(0.0)
     # Scaling to a unit diagonal keeps parameters of different units comparable.
     scale = 1 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
     inverse = np.linalg.pinv(reduced * np.outer(scale, scale), rcond=1e-14, hermitian=True) * np.outer(scale, scale)
-    scores = plain.gradients - np.einsum("fij,fj->fi", eliminated, plain.rhs_boards)
+    scores = gradients - np.einsum("fij,fj->fi", eliminated.values, plain.rhs_blocks)
     # The covariance of the prior's gradient is added. This gradient is ``precision`` times the offset from the prior's
     # mean. The covariance of the offset is the inverse of ``precision``, so the covariance of the gradient is
     # ``precision``.

@@ -15,8 +15,12 @@ from numpy.typing import NDArray
 
 from fourd.board_calibration.adjustment.noise import SHARED, ViewNoise, Views, Weights, shared_derivatives
 from fourd.board_calibration.adjustment.rig import BOARD_PARAMETERS, PARAMETERS, Corners, RigState, project
+from fourd.optimization.schur import DenseCoupling, NormalEquations
 
 Array = NDArray[np.float64]
+RigEquations = NormalEquations[DenseCoupling]
+"""Normal equations of a rig. The kept unknowns are the cameras, then the shape of the board. The blocks of eliminated
+unknowns are the poses of the board."""
 
 CHUNK = 128
 """Number of views whose matrices are in memory at the same time."""
@@ -43,55 +47,15 @@ class Free:
         return self.offset_std_m.size + self.thickness
 
 
-@dataclass(frozen=True, eq=False)
-class System:
-    """Normal equations of P shared unknowns (cameras, then the board's shape) and F poses of the board.
-
-    Attributes:
-        shared: (P, P) matrix of the shared unknowns.
-        boards: (F, 6, 6) diagonal blocks of the boards.
-        coupling: (F, P, 6) blocks between the shared unknowns and each board.
-        rhs_shared: (P,) right-hand side.
-        rhs_boards: (F, 6) right-hand side.
-        gradients: (F, P) contribution of each frame to the right-hand side of the shared unknowns.
-    """
-
-    shared: Array
-    boards: Array
-    coupling: Array
-    rhs_shared: Array
-    rhs_boards: Array
-    gradients: Array
-
-    def step(self, damping: float) -> tuple[Array, Array]:
-        """Solve the damped normal equations, whose diagonals are multiplied by 1 + ``damping``. Returns the steps (P,)
-        of the shared unknowns and the steps (F, 6) of the boards."""
-        reduced, eliminated = self.reduce(damping)
-        rhs = self.rhs_shared - np.einsum("fij,fj->i", eliminated, self.rhs_boards)
-        step = np.linalg.solve(reduced, rhs)
-        inverse = np.linalg.inv(_damped(self.boards, damping))
-        rest = self.rhs_boards - np.einsum("fij,i->fj", self.coupling, step)
-        return step, np.einsum("fij,fj->fi", inverse, rest)
-
-    def predicted_decrease(self, shared: Array, boards: Array) -> float:
-        """Return the scalar product of a step and the right-hand side. It is a lower bound on the amount by which the
-        step decreases the quadratic model of the cost."""
-        return float(self.rhs_shared @ shared + np.sum(self.rhs_boards * boards))
-
-    def reduce(self, damping: float) -> tuple[Array, Array]:
-        """Return the matrix (P, P) of the reduced normal equations, and the products (F, P, 6) of the coupling blocks
-        with the inverse blocks of the boards."""
-        eliminated = self.coupling @ np.linalg.inv(_damped(self.boards, damping))
-        size = len(self.shared)
-        left = np.swapaxes(eliminated, 0, 1).reshape(size, -1)
-        right = np.swapaxes(self.coupling, 0, 1).reshape(size, -1)
-        return _damped(self.shared, damping) - left @ right.T, eliminated
-
-
 def build_system(
     state: RigState, corners: Corners, views: Views, free: Free, noise: ViewNoise, weights: Weights
-) -> System:
-    """Sum the normal equations over the views, without a prior. The rows of fixed parameters contain only zeros."""
+) -> tuple[RigEquations, Array]:
+    """Sum the normal equations over the views, without a prior. The rows of fixed parameters contain only zeros.
+
+    Returns:
+        the normal equations, and the contribution (F, P) of each frame to the right-hand side of the cameras and the
+        board's shape.
+    """
     count, boards, extra = len(state.cameras), len(state.boards), free.shape_unknowns
     size = count * PARAMETERS + extra
     found = project(state, corners)
@@ -108,23 +72,24 @@ def build_system(
     )
     columns *= scale
     by_corner = found.by_corner * scale
-    system = System(
+    equations = NormalEquations(
         np.zeros((size, size)),
         np.zeros((boards, BOARD_PARAMETERS, BOARD_PARAMETERS)),
-        np.zeros((boards, size, BOARD_PARAMETERS)),
+        DenseCoupling(np.zeros((boards, size, BOARD_PARAMETERS))),
         np.zeros(size),
         np.zeros((boards, BOARD_PARAMETERS)),
-        np.zeros((boards, size)),
     )
+    gradients = np.zeros((boards, size))
     for start in range(0, len(views.camera), CHUNK):
         which = slice(start, start + CHUNK)
         padded = views.pad(columns, which)
         if extra:
             padded = np.concatenate([_shape_columns(by_corner, corners, views, free, which), padded], axis=2)
-        _add_views(system, _eliminate(padded, std, weights.view[which]), views.camera[which], views.board[which], extra)
+        grams = _eliminate(padded, std, weights.view[which])
+        _add_views(equations, gradients, grams, views.camera[which], views.board[which], extra)
     # This summand keeps the block of a board without observations from being singular.
-    system.boards[:] += 1e-9 * np.eye(BOARD_PARAMETERS)
-    return system
+    equations.blocks[:] += 1e-9 * np.eye(BOARD_PARAMETERS)
+    return equations, gradients
 
 
 def squared_error(
@@ -161,31 +126,39 @@ def _eliminate(padded: Array, std: Array, weight: Array) -> Array:
     return np.asarray(gram - np.swapaxes(mixed, 1, 2) @ np.linalg.solve(own, mixed))
 
 
-def _add_views(system: System, grams: Array, cameras: NDArray[np.intp], boards: NDArray[np.intp], extra: int) -> None:
-    """Add the Gram matrices (V, Q, Q) of views to ``system``. The columns of a Gram matrix belong to the unknowns of
-    the board's shape, of the camera and of the board's pose, and to the residual."""
+def _add_views(
+    equations: RigEquations,
+    gradients: Array,
+    grams: Array,
+    cameras: NDArray[np.intp],
+    boards: NDArray[np.intp],
+    extra: int,
+) -> None:
+    """Add the Gram matrices (V, Q, Q) of views to ``equations`` and ``gradients``. The columns of a Gram matrix belong
+    to the unknowns of the board's shape, of the camera and of the board's pose, and to the residual."""
     own = slice(extra, extra + PARAMETERS)
     pose = slice(own.stop, own.stop + BOARD_PARAMETERS)
     last, shape = pose.stop, slice(0, extra)
-    tail = slice(len(system.shared) - extra, len(system.shared))
+    tail = slice(len(equations.kept) - extra, len(equations.kept))
+    coupling = equations.coupling.values
     for camera in np.unique(cameras):
         rows = cameras == camera
         place = slice(camera * PARAMETERS, (camera + 1) * PARAMETERS)
         total, some = grams[rows].sum(axis=0), boards[rows]
-        system.shared[place, place] += total[own, own]
-        system.shared[place, tail] += total[own, shape]
-        system.shared[tail, place] += total[shape, own]
-        system.shared[tail, tail] += total[shape, shape]
-        system.rhs_shared[place] += total[own, last]
-        system.rhs_shared[tail] += total[shape, last]
+        equations.kept[place, place] += total[own, own]
+        equations.kept[place, tail] += total[own, shape]
+        equations.kept[tail, place] += total[shape, own]
+        equations.kept[tail, tail] += total[shape, shape]
+        equations.rhs_kept[place] += total[own, last]
+        equations.rhs_kept[tail] += total[shape, last]
         # A camera sees each position of the board at most once, so no index occurs twice in ``some``. With repeated
         # indices, += would drop summands.
-        system.coupling[some, place] += grams[rows, own, pose]
-        system.coupling[some, tail] += grams[rows, shape, pose]
-        system.boards[some] += grams[rows, pose, pose]
-        system.rhs_boards[some] += grams[rows, pose, last]
-        system.gradients[some, place] += grams[rows, own, last]
-        system.gradients[some, tail] += grams[rows, shape, last]
+        coupling[some, place] += grams[rows, own, pose]
+        coupling[some, tail] += grams[rows, shape, pose]
+        equations.blocks[some] += grams[rows, pose, pose]
+        equations.rhs_blocks[some] += grams[rows, pose, last]
+        gradients[some, place] += grams[rows, own, last]
+        gradients[some, tail] += grams[rows, shape, last]
 
 
 def _shape_columns(by_corner: Array, corners: Corners, views: Views, free: Free, which: slice) -> Array:
@@ -202,7 +175,3 @@ def _shape_columns(by_corner: Array, corners: Corners, views: Views, free: Free,
     if free.thickness:
         columns[view, place, :, -1] = -by_corner[used, :, 2] * corners.back[used, None]
     return columns.reshape(len(rows), -1, free.shape_unknowns)
-
-
-def _damped(blocks: Array, damping: float) -> Array:
-    return blocks * (1 + damping * np.eye(blocks.shape[-1]))

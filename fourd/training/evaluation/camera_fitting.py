@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera
 from fourd.capture.layout import sample_indices
+from fourd.optimization.levenberg_marquardt import Rules, Trial, minimize
 from fourd.training.cameras.rig import recolour
 from fourd.training.evaluation.render import ModelRenderer, render_view
 from fourd.training.points.frame_store import FrameStore
@@ -31,8 +32,9 @@ Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 
 BLURS_PX = (8.0, 4.0, 2.0, 1.0)
-MAX_STEPS = 12
-INITIAL_DAMPING = 1e-3
+RULES = Rules(max_steps=12, max_trials=1, min_relative_decrease=None, decrease=5.0, increase=20.0)
+"""A step is as expensive as a linearisation, because both render. For this reason, each of at most 12 steps counts,
+whether it is accepted or not."""
 MAX_FRAMES = 3
 CONVERGED = 3e-5
 """Convergence threshold: the optimization at a blur level ends when all six components of a step are smaller than this
@@ -89,15 +91,33 @@ def fit_test_camera(
 
 
 @dataclass(frozen=True, eq=False)
-class _NormalEquations:
-    """The normal equations at one pose. Let J be the Jacobian of the image with respect to the pose, and r the rendered
-    minus the true image. ``error`` is the mean of r^2, ``matrix`` is J^T J (6, 6), and ``right`` is -J^T r (6,).
-    ``colours`` is the fitted colour map (3, 4), or None if colours are not fitted."""
+class _Model:
+    """The quadratic model of the image error at one pose.
 
-    error: float
+    Attributes:
+        alignment: the images that are aligned.
+        camera: the camera with this pose.
+        blur_px: blur of the images.
+        cost: mean of r^2, where r is the rendered minus the true image.
+        matrix: J^T J (6, 6), where J is the Jacobian of the image with respect to the pose.
+        right: -J^T r (6,).
+        colours: the fitted colour map (3, 4), or None if colours are not fitted.
+    """
+
+    alignment: _Alignment
+    camera: Camera
+    blur_px: float
+    cost: float
     matrix: Array
     right: Array
     colours: Floats | None
+
+    def try_step(self, damping: float) -> Trial[_Model]:
+        """Move the camera, and render it."""
+        damped = self.matrix + np.diag(damping * np.diag(self.matrix) + 1e-12)
+        step = np.asarray(np.linalg.solve(damped, self.right), np.float64)
+        after = self.alignment.linearize(self.alignment.move(self.camera, step), self.blur_px)
+        return Trial(after, after.cost, is_last=float(np.abs(step).max()) < CONVERGED)
 
 
 class _Alignment:
@@ -119,21 +139,10 @@ class _Alignment:
         """
         for frame in self.selected:
             self.clouds[frame] = self.renderer.evaluate(self.frames.get(frame), frame, camera, self.index)
-        damping, current = INITIAL_DAMPING, self.linearize(camera, blur_px)
-        for _ in range(MAX_STEPS):
-            damped = current.matrix + np.diag(damping * np.diag(current.matrix) + 1e-12)
-            step = np.asarray(np.linalg.solve(damped, current.right), np.float64)
-            trial = self._move(camera, step)
-            after = self.linearize(trial, blur_px)
-            if after.error < current.error:
-                camera, current, damping = trial, after, damping / 5
-            else:
-                damping *= 20
-            if float(np.abs(step).max()) < CONVERGED:
-                break
-        return camera
+        # The state is a model, because one rendering gives both the error of a trial and the model there.
+        return minimize(lambda model: model, self.linearize(camera, blur_px), RULES).camera
 
-    def linearize(self, camera: Camera, blur_px: float) -> _NormalEquations:
+    def linearize(self, camera: Camera, blur_px: float) -> _Model:
         """Render the selected frames at the given pose and build the normal equations."""
         pairs = [self._render_pair(camera, frame, blur_px) for frame in self.selected]
         colours = _fit_colours(pairs) if self.fits_colours else None
@@ -145,7 +154,7 @@ class _Alignment:
             matrix += np.einsum("ihwc,jhwc->ij", jacobian, jacobian, optimize=True)
             right -= np.einsum("ihwc,hwc->i", jacobian, residual, optimize=True)
             error, count = error + float(np.square(residual).sum()), count + residual.size
-        return _NormalEquations(error / count, matrix, right, colours)
+        return _Model(self, camera, blur_px, error / count, matrix, right, colours)
 
     def _render_pair(self, camera: Camera, frame: int, blur_px: float) -> _Pair:
         view = self.renderer.views.view(self.index, frame)
@@ -159,7 +168,7 @@ class _Alignment:
         rgb = _blur(rendered.rgb, blur_px)
         return _Pair(rgb, alpha, np.where(alpha > MIN_ALPHA, depth, 0), _blur(truth, blur_px), part)
 
-    def _move(self, camera: Camera, step: Array) -> Camera:
+    def move(self, camera: Camera, step: Array) -> Camera:
         rotation = cv2.Rodrigues(step[:3])[0]
         translation = rotation @ camera.translation + self.distance * step[3:]
         return replace(camera, rotation=rotation @ camera.rotation, translation=translation)

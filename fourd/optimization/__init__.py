@@ -1,0 +1,1 @@
+"""Nonlinear least squares: the Levenberg-Marquardt algorithm, and the Schur complement of its normal equations."""
