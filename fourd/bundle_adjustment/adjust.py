@@ -6,14 +6,10 @@ maximum distance from these lines decreases from run to run.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-import pycolmap
 from numpy.typing import NDArray
 
 from fourd.bundle_adjustment.solver import Prior, reprojection_errors_px, solve
@@ -21,18 +17,9 @@ from fourd.bundle_adjustment.tracks import FrameMatches, Observations, build_tra
 from fourd.cameras import Camera
 from fourd.capture.layout import sample_indices
 from fourd.capture.pictures.mask_source import MaskSource
-from fourd.parallel import core_count
 from fourd.progress import Track
-from fourd.stereo.features import (
-    Features,
-    QuietColmap,
-    extract_features,
-    match_features,
-    pairs_to_match,
-    read_features,
-    write_pictures,
-)
-from fourd.stereo.view import StereoView
+from fourd.stereo.colmap import KNOWN_CAMERAS, temporary_workspace
+from fourd.stereo.features import Features, match_features, pairs_to_match
 
 MAX_FRAMES = 2
 MIN_FEATURES = 20
@@ -132,20 +119,8 @@ def _adjust_once(
 
 def _frame_features(capture: MaskSource, cameras: Sequence[int], frame: int, track: Track) -> list[Features]:
     """Detect the features of each camera in one frame."""
-    views = []
-    for index in cameras:
-        picture = capture.image(index, frame)
-        views.append(
-            StereoView(capture.names[index], capture.cameras[index], picture, np.ones(picture.shape[:2], bool))
-        )
-    with tempfile.TemporaryDirectory(prefix="fourd-cameras-") as name, QuietColmap():
-        folder = Path(name)
-        database = folder / "database.db"
-        names = write_pictures(folder, views)
-        batch = core_count()
-        batches = [names[begin : begin + batch] for begin in range(0, len(names), batch)]
-        for some in track(batches, len(batches), "features"):
-            extract_features(folder, database, some)
-        with closing(pycolmap.Database.open(database)) as store:
-            images = sorted(store.read_all_images(), key=lambda image: image.name)
-            return [read_features(store, image.image_id) for image in images]
+    pictures = [capture.image(index, frame) for index in cameras]
+    with temporary_workspace("fourd-cameras-") as workspace:
+        workspace.extract_features(pictures, KNOWN_CAMERAS, track=track)
+        with workspace.open() as database:
+            return [database.features(image) for image in range(len(pictures))]

@@ -200,7 +200,7 @@ def _undistorted_frame(matches: Mapping[Pair, Matches], cameras: Sequence[Camera
     """Convert matches to a FrameMatches, and remove the lens distortion of ``cameras`` from the features' positions."""
     frame, rows = _index_features(matches, len(cameras))
     features = tuple(
-        Features(undistort_points(camera, each.xy), each.descriptors)
+        Features(undistort_points(camera, each.xy_px), each.descriptors)
         for camera, each in zip(cameras, frame.features, strict=True)
     )
     return FrameMatches(features, rows)

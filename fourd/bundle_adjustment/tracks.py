@@ -88,11 +88,11 @@ def build_tracks(frames: Sequence[FrameMatches], cameras: Sequence[Camera], band
 def _frame_tracks(frame: FrameMatches, cameras: Sequence[Camera], band_px: float) -> Observations:
     """Build the tracks of one frame: the connected components of the graph of matches."""
     features = frame.features
-    counts = [len(each.xy) for each in features]
+    counts = [len(each.xy_px) for each in features]
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
     ends = [np.zeros((0, 2), np.intp)]
     for (i, j), rows in frame.matches.items():
-        first_xy, second_xy = features[i].xy[rows[:, 0]], features[j].xy[rows[:, 1]]
+        first_xy, second_xy = features[i].xy_px[rows[:, 0]], features[j].xy_px[rows[:, 1]]
         near = _epipolar_distances(first_xy, second_xy, cameras[i], cameras[j]) < band_px
         ends.append(rows[near] + (offsets[i], offsets[j]))
     edges = np.concatenate(ends)
@@ -103,7 +103,7 @@ def _frame_tracks(frame: FrameMatches, cameras: Sequence[Camera], band_px: float
     # A wrong match merges the tracks of two points. In each camera that sees both points, the merged track has two
     # features, which are dropped.
     _, inverse, occurrences = np.unique(label * len(features) + camera, return_inverse=True, return_counts=True)
-    xy = np.concatenate([each.xy for each in features])
+    xy = np.concatenate([each.xy_px for each in features])
     return Observations(camera, label.astype(np.intp), xy).select(occurrences[inverse] == 1)
 
 

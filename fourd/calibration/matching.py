@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from fourd.cameras import Camera
+from fourd.stereo.features import RATIO_TEST_THRESHOLD, Features, match_features
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -26,19 +27,6 @@ MAX_FALSE_ALARMS = 1e-4
 
 The NFA of a model is the expected number of models with at least as many inliers, if all matches are random.
 """
-
-
-@dataclass(frozen=True, eq=False)
-class Features:
-    """Features of one image.
-
-    Attributes:
-        xy_px: (N, 2) positions in pixels; the first pixel's centre is at (0.5, 0.5).
-        descriptors: (N, 128) float32 RootSIFT descriptors.
-    """
-
-    xy_px: Array
-    descriptors: NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,22 +63,16 @@ def extract_features(picture: Picture, max_features: int = 4000) -> Features:
     return Features(xy, np.sqrt(descriptors / sums).astype(np.float32))
 
 
-def match_features(first: Features, second: Features, ratio: float = 0.8) -> Matches:
+def match_positions(first: Features, second: Features, ratio: float = RATIO_TEST_THRESHOLD) -> Matches:
     """Match features that are mutual nearest neighbours and pass Lowe's ratio test.
 
     SIFT returns one feature per dominant orientation, so several features may have the same position. Only one match
     per position is kept, because duplicates are not independent evidence.
     """
-    if len(first.xy_px) < 2 or len(second.xy_px) < 2:
-        return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
-    similarity = first.descriptors @ second.descriptors.T
-    best = similarity.argmax(axis=1)
-    mutual = similarity.argmax(axis=0)[best] == np.arange(len(best))
-    nearest = np.sqrt(np.maximum(2 - 2 * np.partition(similarity, -2, axis=1)[:, -2:], 1e-12))
-    kept = np.flatnonzero(mutual & (nearest[:, 1] < ratio * nearest[:, 0]))
-    positions = np.round(np.hstack([first.xy_px[kept], second.xy_px[best[kept]]]))
-    kept = kept[np.sort(np.unique(positions, axis=0, return_index=True)[1])]
-    return Matches(first.xy_px[kept], second.xy_px[best[kept]])
+    rows = match_features(first, second, ratio)
+    first_px, second_px = first.xy_px[rows[:, 0]], second.xy_px[rows[:, 1]]
+    kept = np.sort(np.unique(np.round(np.hstack([first_px, second_px])), axis=0, return_index=True)[1])
+    return Matches(first_px[kept], second_px[kept])
 
 
 def verify_matches(matches: Matches, first: Camera, second: Camera, tolerance_px: float = TOLERANCE_PX) -> Matches:

@@ -10,14 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from fourd.calibration.matching import (
-    Features,
-    Matches,
-    extract_features,
-    match_features,
-    undistort_points,
-    verify_matches,
-)
+from fourd.calibration.matching import Matches, extract_features, match_positions, undistort_points, verify_matches
 from fourd.cameras import Camera
 
 Array = NDArray[np.float64]
@@ -100,8 +93,10 @@ def match_pairs(
             )
     chosen = select_pairs(cameras) if pairs is None else pairs
     used = {index for pair in chosen for index in pair}
-    features: dict[int, Features] = {index: extract_features(pictures[index], max_features) for index in sorted(used)}
-    return {(i, j): verify_matches(match_features(features[i], features[j]), cameras[i], cameras[j]) for i, j in chosen}
+    features = {index: extract_features(pictures[index], max_features) for index in sorted(used)}
+    return {
+        (i, j): verify_matches(match_positions(features[i], features[j]), cameras[i], cameras[j]) for i, j in chosen
+    }
 
 
 def select_pairs(cameras: Sequence[Camera]) -> list[Pair]:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal
 
-import cv2
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
@@ -18,6 +15,7 @@ from scipy.spatial import KDTree
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
+from fourd.stereo.colmap import Extraction, Workspace, temporary_workspace
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -26,13 +24,6 @@ PairMatches = dict[tuple[int, int], list[NDArray[np.uint32]]]
 
 MIN_CAMERAS = 3
 SAME_FEATURE_PX = 0.75
-MAX_FEATURES = 4096
-SIFT_PEAK_THRESHOLD = 0.003
-"""Minimum peak value of SIFT features.
-
-It is lower than COLMAP's default of 0.0067 to keep weak features. Without them, matching of neighbouring cameras failed
-in a recorded ring of 20 cameras.
-"""
 FIX = (
     "give the cameras more overlap (at most 30 degrees between neighbours), add texture to the scene, or provide a "
     "calibration"
@@ -97,9 +88,10 @@ def calibrate_from_pictures(
             f"cameras with a shared lens: expected images of one size, got "
             f"{', '.join(f'{w} x {h}' for w, h in sorted(sizes))}; resize the images to one size"
         )
-    with tempfile.TemporaryDirectory(prefix="fourd-calibrate-") as folder, _quiet():
+    with temporary_workspace("fourd-calibrate-") as workspace:
         frames = [list(frame) for frame in zip(*pictures.values(), strict=True)]
-        model = _reconstruct(Path(folder), frames, lens_model, is_lens_shared, seed)
+        settings = Extraction(lens_model, is_lens_shared, domain_size_pooling=True)
+        model = _reconstruct(workspace.folder, frames, settings, seed)
     cameras = {} if model is None else _to_cameras(model, names)
     missing = tuple(name for name in names if name not in cameras)
     if model is None or len(cameras) < 2 or (missing and not allows_missing):
@@ -108,9 +100,7 @@ def calibrate_from_pictures(
     return SelfCalibration(cameras, float(model.compute_mean_reprojection_error()), model.num_points3D(), missing)
 
 
-def _reconstruct(
-    folder: Path, frames: list[list[Picture]], lens_model: LensModel, is_lens_shared: bool, seed: int
-) -> Any | None:
+def _reconstruct(folder: Path, frames: list[list[Picture]], settings: Extraction, seed: int) -> Any | None:
     """Reconstruct with COLMAP and return the model with the most cameras; ``frames[k]`` contains frame k's images.
 
     Each camera is one COLMAP image that contains the features of all its frames. A static feature that is found in
@@ -119,58 +109,34 @@ def _reconstruct(
     pycolmap.set_random_seed(seed)
     keypoints: list[Array] = [np.zeros((0, 2))] * len(frames[0])
     matches: PairMatches = {}
-    for number, pictures in enumerate(frames):
-        database = _match_frame(folder / f"{number:06d}", pictures, lens_model, is_lens_shared)
-        _merge_frame(database, keypoints, matches)
-    database, pictures_folder = folder / "000000" / "database.db", folder / "000000" / "images"
-    _write_merged(database, keypoints, matches)
+    workspaces = [Workspace(folder / f"{number:06d}") for number in range(len(frames))]
+    for workspace, pictures in zip(workspaces, frames, strict=True):
+        workspace.extract_features(pictures, settings)
+        matching = pycolmap.FeatureMatchingOptions(use_gpu=False, skip_geometric_verification=True)
+        pycolmap.match_exhaustive(workspace.database, matching_options=matching, device=pycolmap.Device.cpu)
+        _merge_frame(workspace, keypoints, matches)
+    _write_merged(workspaces[0], keypoints, matches)
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = seed
     verification.detect_watermark = False
     verifier = pycolmap.GeometricVerifierOptions(num_threads=1)
-    pycolmap.geometric_verification(database, verifier, two_view_geometry_options=verification)
+    pycolmap.geometric_verification(workspaces[0].database, verifier, two_view_geometry_options=verification)
     (folder / "models").mkdir()
-    models = pycolmap.incremental_mapping(database, pictures_folder, folder / "models", _mapping_options(seed))
+    models = pycolmap.incremental_mapping(
+        workspaces[0].database, workspaces[0].images, folder / "models", _mapping_options(seed)
+    )
     return max(models.values(), key=lambda model: (model.num_reg_images(), model.num_points3D()), default=None)
 
 
-def _match_frame(folder: Path, pictures: list[Picture], lens_model: LensModel, is_lens_shared: bool) -> Path:
-    """Extract and match the features of one frame; return the path of the COLMAP database with the matches.
-
-    The image files have numbers as names, because camera names may contain characters that are invalid in file names.
-    """
-    images, database = folder / "images", folder / "database.db"
-    images.mkdir(parents=True)
-    for index, picture in enumerate(pictures):
-        if not cv2.imwrite(str(images / f"{index:06d}.png"), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
-            raise OSError(f"{images}: a temporary image could not be written")
-    extraction = pycolmap.FeatureExtractionOptions(use_gpu=False)
-    # In a ring of 20 cameras, neighbours are 18 degrees apart. Matching across this angle needs affine-invariant
-    # features.
-    extraction.sift.estimate_affine_shape = True
-    extraction.sift.domain_size_pooling = True
-    extraction.sift.peak_threshold = SIFT_PEAK_THRESHOLD
-    extraction.sift.max_num_features = MAX_FEATURES
-    reader = pycolmap.ImageReaderOptions(camera_model=lens_model)
-    mode = pycolmap.CameraMode.SINGLE if is_lens_shared else pycolmap.CameraMode.PER_IMAGE
-    device = pycolmap.Device.cpu
-    pycolmap.extract_features(database, images, [], mode, reader, extraction, device)
-    matching = pycolmap.FeatureMatchingOptions(use_gpu=False, skip_geometric_verification=True)
-    pycolmap.match_exhaustive(database, matching_options=matching, device=device)
-    return database
-
-
-def _merge_frame(database: Path, keypoints: list[Array], matches: PairMatches) -> None:
-    """Add the features and matches of one frame's COLMAP database to ``keypoints`` and ``matches``."""
-    with closing(pycolmap.Database.open(database)) as store:
-        images = sorted(store.read_all_images(), key=lambda image: image.name)
+def _merge_frame(workspace: Workspace, keypoints: list[Array], matches: PairMatches) -> None:
+    """Add the features and matches of one frame to ``keypoints`` and ``matches``."""
+    with workspace.open() as database:
         indices = []
-        for camera, image in enumerate(images):
-            xy = np.asarray(store.read_keypoints(image.image_id), np.float64)[:, :2]
-            keypoints[camera], merged = _merge_keypoints(keypoints[camera], xy)
+        for camera in range(len(keypoints)):
+            keypoints[camera], merged = _merge_keypoints(keypoints[camera], database.keypoints(camera))
             indices.append(merged)
-        for i, j in combinations(range(len(images)), 2):
-            found = store.read_matches(images[i].image_id, images[j].image_id)
+        for i, j in combinations(range(len(keypoints)), 2):
+            found = database.matches(i, j)
             matches.setdefault((i, j), []).append(
                 np.column_stack([indices[i][found[:, 0]], indices[j][found[:, 1]]]).astype(np.uint32)
             )
@@ -190,17 +156,13 @@ def _merge_keypoints(known: Array, xy: Array) -> tuple[Array, NDArray[np.intp]]:
     return np.vstack([known, xy[is_new]]), indices
 
 
-def _write_merged(database: Path, keypoints: list[Array], matches: PairMatches) -> None:
-    """Replace the features and matches in a COLMAP database by the merged features and matches of all frames."""
-    with closing(pycolmap.Database.open(database)) as store:
-        images = sorted(store.read_all_images(), key=lambda image: image.name)
-        for clear in (store.clear_keypoints, store.clear_descriptors, store.clear_matches):
-            clear()
-        for image, xy in zip(images, keypoints, strict=True):
-            store.write_keypoints(image.image_id, xy.astype(np.float32))
+def _write_merged(workspace: Workspace, keypoints: list[Array], matches: PairMatches) -> None:
+    """Replace the features and matches of one frame by the merged features and matches of all frames."""
+    with workspace.open() as database:
+        database.replace_features(keypoints)
         for (i, j), parts in matches.items():
             if any(map(len, parts)):
-                store.write_matches(images[i].image_id, images[j].image_id, np.unique(np.vstack(parts), axis=0))
+                database.write_matches(i, j, np.unique(np.vstack(parts), axis=0), verified=False)
 
 
 def _mapping_options(seed: int) -> Any:
@@ -232,15 +194,3 @@ def _to_cameras(model: Any, names: list[str]) -> dict[str, Camera]:
             lens.calibration_matrix(), pose.rotation.matrix(), pose.translation, lens.width, lens.height, distortion
         )
     return {name: cameras[name] for name in names if name in cameras}
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Suppress COLMAP's progress on stderr; errors are still printed."""
-    logging = pycolmap.logging
-    before = logging.minloglevel
-    logging.minloglevel = int(logging.ERROR)
-    try:
-        yield
-    finally:
-        logging.minloglevel = before

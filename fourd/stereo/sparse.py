@@ -3,34 +3,26 @@ fixed cameras."""
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera
-from fourd.parallel import core_count
 from fourd.progress import Track
-from fourd.stereo.features import (
-    IMAGES,
-    Features,
-    QuietColmap,
-    extract_features,
-    fundamental_matrix,
-    pairs_to_match,
-    read_features,
-    write_pictures,
-)
+from fourd.stereo.colmap import KNOWN_CAMERAS, Database, temporary_workspace
+from fourd.stereo.features import Features, fundamental_matrix, match_similar, pairs_to_match
 from fourd.stereo.view import StereoView
 
 Array = NDArray[np.float64]
 
+HOLE_MARGIN_PX = 6
+"""Minimum distance in pixels between a feature and the holes of a plate, because plates are blurred near holes."""
 EPIPOLAR_PX = 1.5
 """Maximum distance, in pixels, of a matched feature from the epipolar line."""
 RATIO_TEST_THRESHOLD = 0.85
@@ -72,30 +64,21 @@ def triangulate_sparse(plates: Sequence[StereoView], seed: int, track: Track) ->
     Points with a triangulation angle below 2 degrees or a reprojection error above 2 px are dropped.
     """
     cameras = [plate.camera for plate in plates]
-    with tempfile.TemporaryDirectory(prefix="fourd-plates-") as name, QuietColmap():
-        folder = Path(name)
-        database = folder / "database.db"
-        names = write_pictures(folder, plates)
-        batch = core_count()
-        batches = [names[begin : begin + batch] for begin in range(0, len(names), batch)]
-        for some in track(batches, len(batches), "features"):
-            extract_features(folder, database, some)
-        with closing(pycolmap.Database.open(database)) as store:
-            images = sorted(store.read_all_images(), key=lambda image: image.name)
-            features = [read_features(store, image.image_id) for image in images]
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * HOLE_MARGIN_PX + 1,) * 2)
+    masks = [np.asarray(cv2.erode(plate.seen.astype(np.uint8) * 255, disc), np.uint8) for plate in plates]
+    with temporary_workspace("fourd-plates-") as workspace:
+        workspace.extract_features([plate.rgb for plate in plates], KNOWN_CAMERAS, masks, track)
+        with workspace.open() as database:
+            features = [database.features(image) for image in range(len(plates))]
             pairs = pairs_to_match(cameras)
             for i, j in track(pairs, len(pairs), "matches"):
                 found = _match_guided(features[i], features[j], cameras[i], cameras[j])
                 if len(found):
-                    geometry = pycolmap.TwoViewGeometry()
-                    geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
-                    geometry.inlier_matches = found
-                    store.write_matches(images[i].image_id, images[j].image_id, found)
-                    store.write_two_view_geometry(images[i].image_id, images[j].image_id, geometry)
-            known = _known_cameras(store, images, cameras)
-        (folder / "model").mkdir()
+                    database.write_matches(i, j, found, verified=True)
+            known = _known_cameras(database, cameras)
+        (workspace.folder / "model").mkdir()
         model = pycolmap.triangulate_points(
-            known, database, folder / IMAGES, folder / "model", True, _options(seed), False
+            known, workspace.database, workspace.images, workspace.folder / "model", True, _options(seed), False
         )
     return _read_points(model, len(plates))
 
@@ -103,37 +86,25 @@ def triangulate_sparse(plates: Sequence[StereoView], seed: int, track: Track) ->
 def _match_guided(first: Features, second: Features, camera: Camera, other: Camera) -> NDArray[np.uint32]:
     """Match features of two images. Returns index pairs (M, 2) of mutual nearest neighbours that lie near the epipolar
     lines and pass the ratio test."""
-    if min(len(first.xy), len(second.xy)) < 2:
+    if min(len(first.xy_px), len(second.xy_px)) < 2:
         return np.zeros((0, 2), np.uint32)
     fundamental = fundamental_matrix(camera, other)
-    first_xy, second_xy = (np.column_stack([f.xy, np.ones(len(f.xy))]) for f in (first, second))
+    first_xy, second_xy = (np.column_stack([f.xy_px, np.ones(len(f.xy_px))]) for f in (first, second))
     second_lines, first_lines = first_xy @ fundamental.T, second_xy @ fundamental
     for lines in (second_lines, first_lines):
         lines /= np.maximum(np.hypot(lines[:, 0], lines[:, 1]), 1e-12)[:, None]
     similarity = first.descriptors @ second.descriptors.T
     for a, b in ((second_lines, second_xy), (first_xy, first_lines)):
         similarity[np.abs(a.astype(np.float32) @ b.astype(np.float32).T) > EPIPOLAR_PX] = -1
-    best = similarity.argmax(axis=1)
-    mutual = similarity.argmax(axis=0)[best] == np.arange(len(best))
-    nearest = np.partition(similarity, -2, axis=1)[:, -2:]
-    distance = np.sqrt(np.maximum(2 - 2 * nearest, 0))
-    kept = np.flatnonzero(
-        mutual & (nearest[:, 1] > MIN_SIMILARITY) & (distance[:, 1] < RATIO_TEST_THRESHOLD * distance[:, 0])
-    )
-    return np.column_stack([kept, best[kept]]).astype(np.uint32)
+    return match_similar(similarity, RATIO_TEST_THRESHOLD, MIN_SIMILARITY).astype(np.uint32)
 
 
-def _known_cameras(store: Any, images: list[Any], cameras: Sequence[Camera]) -> Any:
+def _known_cameras(database: Database, cameras: Sequence[Camera]) -> Any:
     """Create a COLMAP reconstruction with the cameras and without points, and write the cameras' intrinsics to the
     database."""
     known = pycolmap.Reconstruction()
-    for image, camera in zip(images, cameras, strict=True):
-        lens = store.read_camera(image.camera_id)
-        k = camera.intrinsics
-        # The values need no conversion: both in COLMAP and in this project, the centre of the first pixel is at (0.5,
-        # 0.5).
-        lens.params = [k[0, 0], k[1, 1], k[0, 2], k[1, 2]]
-        store.update_camera(lens)
+    for index, (image, camera) in enumerate(zip(database.images, cameras, strict=True)):
+        lens = database.write_pinhole(index, camera.intrinsics)
         known.add_camera_with_trivial_rig(lens)
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(camera.rotation), camera.translation)
         placed = pycolmap.Image(name=image.name, image_id=image.image_id, camera_id=image.camera_id)

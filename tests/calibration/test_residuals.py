@@ -15,7 +15,7 @@ from fourd.calibration.matching import (
     distort_points,
     extract_features,
     inlier_mask,
-    match_features,
+    match_positions,
     undistort_points,
 )
 from fourd.calibration.residuals import (
@@ -186,7 +186,7 @@ def test_features_with_several_orientations_match_once(room: tuple[list[Camera],
     """Catches duplicate matches at one position that count as evidence."""
     _, pictures = room
     found = extract_features(pictures[0])
-    both = match_features(found, found)
+    both = match_positions(found, found)
     assert len(np.unique(np.round(both.first_px), axis=0)) == len(both) > 100
 
 
