@@ -1,4 +1,4 @@
-"""Read and write coloured points in PLY files.
+"""Read and write coloured points and triangles in PLY files.
 
 The reader accepts ASCII files and binary files of both byte orders; the writer writes binary little-endian files.
 """
@@ -39,8 +39,16 @@ class ColouredPoints(NamedTuple):
     rgb: NDArray[np.uint8]
 
 
-def write_ply(path: Path | str, xyz: NDArray[np.floating[Any]], rgb: NDArray[np.uint8]) -> None:
+def write_ply(
+    path: Path | str,
+    xyz: NDArray[np.floating[Any]],
+    rgb: NDArray[np.uint8],
+    normals: NDArray[np.floating[Any]] | None = None,
+    triangles: NDArray[np.integer[Any]] | None = None,
+) -> None:
     """Write points (N, 3) and their colours (N, 3) uint8 as binary PLY, atomically.
+
+    If given, the unit ``normals`` (N, 3) and the ``triangles`` (M, 3), which are vertex indices, are also written.
 
     Raises:
         ValueError: if a shape or the colours' dtype is wrong, or a coordinate is not finite.
@@ -49,27 +57,37 @@ def write_ply(path: Path | str, xyz: NDArray[np.floating[Any]], rgb: NDArray[np.
         raise ValueError(f"xyz: expected finite coordinates of shape (N, 3), got shape {xyz.shape} or NaN values")
     if rgb.shape != xyz.shape or rgb.dtype != np.uint8:
         raise ValueError(f"rgb: expected uint8 of shape {xyz.shape}, got {rgb.dtype} of shape {rgb.shape}")
-    names = ("x", "y", "z", "red", "green", "blue")
-    rows = np.empty(len(xyz), dtype=[(name, "<f4" if i < 3 else "u1") for i, name in enumerate(names)])
-    for i, name in enumerate(names):
-        rows[name] = xyz[:, i] if i < 3 else rgb[:, i - 3]
-    write_vertices(path, rows)
+    columns: dict[str, NDArray[Any]] = {name: xyz[:, axis].astype("<f4") for axis, name in enumerate("xyz")}
+    if normals is not None:
+        columns |= {name: normals[:, axis].astype("<f4") for axis, name in enumerate(("nx", "ny", "nz"))}
+    columns |= {name: rgb[:, channel] for channel, name in enumerate(("red", "green", "blue"))}
+    rows = np.empty(len(xyz), dtype=[(name, column.dtype) for name, column in columns.items()])
+    for name, column in columns.items():
+        rows[name] = column
+    write_vertices(path, rows, triangles)
 
 
-def write_vertices(path: Path | str, rows: NDArray[Any]) -> None:
-    """Write vertices as binary PLY, atomically.
+def write_vertices(path: Path | str, rows: NDArray[Any], triangles: NDArray[np.integer[Any]] | None = None) -> None:
+    """Write vertices, and triangles if they are given, as binary PLY, atomically.
 
     Args:
+        path: the file.
         rows: structured array (N,). Each of its fields, little-endian float32 or uint8, becomes a PLY property of the
             same name.
+        triangles: (M, 3) vertex indices.
     """
     assert rows.dtype.names is not None
     words = {np.dtype("<f4"): "float", np.dtype("u1"): "uchar"}
     kinds = "\n".join(f"property {words[rows.dtype[name]]} {name}" for name in rows.dtype.names)
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{kinds}\nend_header\n"
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{kinds}\n"
+    faces = np.empty(0 if triangles is None else len(triangles), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    if triangles is not None:
+        header += f"element face {len(triangles)}\nproperty list uchar int vertex_indices\n"
+        faces["count"], faces["corners"] = 3, triangles
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        stream.write(header.encode("ascii"))
+        stream.write(f"{header}end_header\n".encode("ascii"))
         stream.write(rows.tobytes())
+        stream.write(faces.tobytes())
 
 
 def read_ply(path: Path | str) -> ColouredPoints:

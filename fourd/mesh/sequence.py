@@ -19,10 +19,10 @@ from fourd.carving.bounds import hull_bounds
 from fourd.carving.sequence import settings_key
 from fourd.errors import UserError, command_line
 from fourd.files import remove_unfinished, write_text_atomically
+from fourd.formats.glb_animation import write_animation
+from fourd.formats.glb_mesh import write_textured_glb
+from fourd.formats.ply import write_ply
 from fourd.limits import read_json
-from fourd.mesh.files.animation import write_animation
-from fourd.mesh.files.glb import write_glb
-from fourd.mesh.files.ply import write_mesh_ply
 from fourd.mesh.fitting.fit import fit_mesh
 from fourd.mesh.fitting.hull_distance import hull_distance_grid
 from fourd.mesh.settings import MeshSettings
@@ -115,9 +115,10 @@ def _make_frame(capture: Capture, frame: int, path: Path, settings: MeshSettings
         xyz, triangles = remesh(xyz, triangles, settings.remesh * start.grid.side)
     if settings.format == "ply":
         normals, rgb = colour_mesh(xyz, triangles, views)
-        write_mesh_ply(path, xyz, normals, rgb, triangles)
+        write_ply(path, xyz, rgb, normals, triangles)
     else:
-        write_glb(path, texture_mesh(xyz, triangles, views, settings.texture_size), up)
+        mesh = texture_mesh(xyz, triangles, views, settings.texture_size)
+        write_textured_glb(path, mesh.xyz, mesh.normals, mesh.uv, mesh.texture, mesh.triangles, up)
 
 
 def _key(capture: Capture, settings: MeshSettings) -> str:

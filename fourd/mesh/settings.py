@@ -7,6 +7,7 @@ from typing import Literal
 
 from fourd.mesh.fitting.settings import FitSettings
 
+MAX_TEXTURE_SIZE = 16384
 MeshFormat = Literal["glb", "ply"]
 
 
@@ -41,8 +42,8 @@ class MeshSettings:
         """Raise ValueError for a value that is out of range."""
         if self.cells < 8:
             raise ValueError(f"cells: expected at least 8, got {self.cells}")
-        if not 16 <= self.texture_size <= 16384:
-            raise ValueError(f"texture_size: expected 16 to 16384 texels, got {self.texture_size}")
+        if not 16 <= self.texture_size <= MAX_TEXTURE_SIZE:
+            raise ValueError(f"texture_size: expected 16 to {MAX_TEXTURE_SIZE} texels, got {self.texture_size}")
         if not self.remesh >= 0:
             raise ValueError(f"remesh: expected 0 or more cubes, got {self.remesh}")
         if self.format not in ("glb", "ply"):

@@ -9,8 +9,8 @@ import torch
 
 from fourd.cameras import Array
 from fourd.errors import UserError
-from fourd.mesh.files.coloured_glb import write_coloured_glb
-from fourd.mesh.files.ply import write_mesh_ply
+from fourd.formats.glb_mesh import write_coloured_glb
+from fourd.formats.ply import write_ply
 from fourd.mesh.surface.losses import vertex_normals
 from fourd.triangle_fitting.opaque import ColouredMesh
 
@@ -37,6 +37,6 @@ def write_mesh(path: Path, mesh: ColouredMesh, up: Array) -> None:
     normals = vertex_normals(torch.from_numpy(mesh.xyz), torch.from_numpy(mesh.triangles).long()).numpy()
     normals = normals.astype(np.float32)
     if path.suffix.lower() == ".ply":
-        write_mesh_ply(path, mesh.xyz, normals, mesh.rgb, mesh.triangles)
+        write_ply(path, mesh.xyz, mesh.rgb, normals, mesh.triangles)
     else:
         write_coloured_glb(path, mesh.xyz, normals, mesh.rgb, mesh.triangles, up)

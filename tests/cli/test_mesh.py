@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from fourd.cli.main import main
-from fourd.mesh.files.glb import read_mesh
+from fourd.formats.glb_mesh import read_glb_mesh
 
 SMALL = ["--cells", "24", "--steps", "12", "--texture-size", "128"]
 
@@ -37,7 +37,7 @@ def test_each_frame_has_a_closed_textured_mesh(made: Path) -> None:
         "000000.glb", "000001.glb", "animation.glb", "meshes.json", "scores.json",
     ]  # fmt: skip
     for name in ("000000.glb", "000001.glb"):
-        mesh = read_mesh(made / name)
+        mesh = read_glb_mesh(made / name)
         assert mesh.texture.shape == (128, 128, 3)
         assert mesh.texture.std() > 5
         joined = trimesh.Trimesh(mesh.xyz, mesh.triangles, process=True, merge_norm=True, merge_tex=True)
@@ -100,7 +100,7 @@ def test_remeshing_gives_fewer_triangles(
     assert "--remesh: expected the package gpytoolbox, got none" in capsys.readouterr().err
     pytest.importorskip("gpytoolbox")
     assert main(words) == 0
-    before, after = (len(read_mesh(folder / "000000.glb").triangles) for folder in (made, tmp_path))
+    before, after = (len(read_glb_mesh(folder / "000000.glb").triangles) for folder in (made, tmp_path))
     assert 0.1 * before < after < 0.6 * before
 
 
@@ -111,7 +111,7 @@ def test_ply_files_are_in_world_coordinates(capture: Path, made: Path, tmp_path:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["000000.ply", "meshes.json"]
     mesh = trimesh.load(tmp_path / "000000.ply", process=False)
     assert mesh.is_watertight
-    other = read_mesh(made / "000000.glb").xyz
+    other = read_glb_mesh(made / "000000.glb").xyz
     np.testing.assert_allclose(mesh.bounds, [other.min(axis=0), other.max(axis=0)], atol=0.02)
     assert mesh.visual.vertex_colors[:, :3].std() > 5
 

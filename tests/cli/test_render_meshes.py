@@ -11,18 +11,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fourd.baking.meshes.glb import read_glb_mesh
-from fourd.baking.meshes.mesh import Mesh
-from fourd.baking.meshes.ply import read_ply_mesh
 from fourd.baking.meshes.source import is_mesh
 from fourd.cli.main import main
 from fourd.errors import UserError
+from fourd.formats.glb_animation import write_animation
+from fourd.formats.glb_mesh import read_glb_mesh, write_coloured_glb, write_textured_glb
+from fourd.formats.mesh import Mesh
 from fourd.formats.ply import write_ply
-from fourd.mesh.files.animation import write_animation
-from fourd.mesh.files.coloured_glb import write_coloured_glb
-from fourd.mesh.files.glb import write_glb
-from fourd.mesh.files.ply import write_mesh_ply
-from fourd.mesh.texturing.texture import TexturedMesh
+from fourd.formats.ply_mesh import read_ply_mesh
 from tests.baking.meshes.shapes import plane, sphere
 from tests.cli.test_without_training_packages import run_without_training_packages
 
@@ -33,19 +29,20 @@ def write_as(path: Path, mesh: Mesh) -> Path:
     assert mesh.normals is not None
     assert mesh.rgb is not None
     if path.suffix == ".ply":
-        write_mesh_ply(path, mesh.xyz, mesh.normals, mesh.rgb, mesh.triangles)
+        write_ply(path, mesh.xyz, mesh.rgb, mesh.normals, mesh.triangles)
     else:
         write_coloured_glb(path, mesh.xyz, mesh.normals, mesh.rgb, mesh.triangles, UP)
     return path
 
 
-def textured() -> TexturedMesh:
+def write_textured(path: Path) -> Path:
     texture = np.zeros((64, 64, 3), np.uint8)
     texture[:, :32], texture[:, 32:] = (250, 40, 40), (40, 40, 250)
     mesh = plane((0, 0, -1), texture)
     assert mesh.uv is not None
     assert mesh.normals is not None
-    return TexturedMesh(mesh.xyz, mesh.triangles, mesh.normals, mesh.uv, texture)
+    write_textured_glb(path, mesh.xyz, mesh.normals, mesh.uv, texture, mesh.triangles, UP)
+    return path
 
 
 def picture(path: Path) -> np.ndarray:
@@ -67,9 +64,8 @@ def test_files_are_read_as_they_were_written(suffix: str, tmp_path: Path) -> Non
 
 def test_textured_files_and_ascii_files(tmp_path: Path) -> None:
     """Catches a texture that is lost, and PLY files of other programs."""
-    write_glb(tmp_path / "mesh.glb", textured(), UP)
-    found = read_glb_mesh(tmp_path / "mesh.glb")
-    np.testing.assert_allclose(found.uv, textured().uv)
+    found = read_glb_mesh(write_textured(tmp_path / "mesh.glb"))
+    np.testing.assert_allclose(found.uv, plane((0, 0, -1), np.zeros((64, 64, 3), np.uint8)).uv)
     assert np.abs(found.texture[32, [8, 56]].astype(int) - [[250, 40, 40], [40, 40, 250]]).max() < 12
     (tmp_path / "mesh.ply").write_text(
         "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
@@ -211,8 +207,3 @@ def test_damaged_files_end_with_one_line(tmp_path: Path, capsys: pytest.CaptureF
         assert len(error.strip().splitlines()) == 1
     assert main(["render", str(tmp_path / "good.glb"), "--views", "05", "-o", str(tmp_path / "out")]) == 2
     assert "--views: expected names out of side 1, side 2" in capsys.readouterr().err
-
-
-def write_textured(path: Path) -> Path:
-    write_glb(path, textured(), UP)
-    return path

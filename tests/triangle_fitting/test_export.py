@@ -9,8 +9,7 @@ import pytest
 import trimesh
 
 from fourd.errors import UserError
-from fourd.mesh.files.coloured_glb import srgb_to_linear
-from fourd.mesh.files.glb import read_glb
+from fourd.formats.glb import read_glb, srgb_to_linear
 from fourd.triangle_fitting.export import check_format, write_mesh
 from fourd.triangle_fitting.opaque import ColouredMesh
 

@@ -15,9 +15,9 @@ import torch
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera, look_at
-from fourd.mesh.files.glb import read_glb, read_mesh
+from fourd.formats.glb_mesh import read_glb_mesh
 from fourd.mesh.rendering import render_mesh
-from fourd.mesh.texturing.texture import TexturedMesh
+from fourd.mesh.texturing.texture import TexturedMesh, read_textured_mesh
 from fourd.mesh.views import clip_positions
 from fourd.raster.triangles import interpolate, rasterize
 
@@ -58,18 +58,12 @@ def shade(mesh: TexturedMesh, camera: Camera, light: NDArray[np.float64]) -> NDA
     return np.repeat(small[..., None], 3, axis=2).astype(np.float32)
 
 
-def world_up(path: Path) -> NDArray[np.float64]:
-    """Return the up direction in world coordinates, computed from the rotation of the file's root node."""
-    x, y, z, w = read_glb(path).document["nodes"][0]["rotation"]
-    return np.array([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)])
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="+", type=Path)
     parser.add_argument("-o", "--out", type=Path, required=True)
     arguments = parser.parse_args()
-    figure = np.concatenate([turntable(read_mesh(path), world_up(path)) for path in arguments.meshes])
+    figure = np.concatenate([turntable(read_textured_mesh(path), read_glb_mesh(path).up) for path in arguments.meshes])
     pixels = (figure.clip(0, 1) * 255 + 0.5).astype(np.uint8)
     cv2.imwrite(str(arguments.out), pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
 

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.meshes.mesh import WHITE, Mesh
 from fourd.cameras import Camera
+from fourd.formats.mesh import WHITE, Mesh
 from fourd.ops.meshes.arrays import draw_attributes
 from fourd.ops.stylize.parameters import Surface
 

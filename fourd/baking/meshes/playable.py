@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.meshes.drawing import GeometryBuffer, draw_mesh
-from fourd.baking.meshes.mesh import Mesh
 from fourd.baking.meshes.smoothing import smooth_normals
 from fourd.baking.meshes.source import MeshSource
 from fourd.baking.splats.surrounding_cameras import cameras_around
 from fourd.baking.styled.player import is_same_camera
 from fourd.cameras import Camera
 from fourd.capture.frame_rate import DEFAULT_FPS
+from fourd.formats.mesh import Mesh
 from fourd.ops.stylize.op import stylize_surface
 from fourd.stylize import Style, view_style
 from fourd.stylize.tables import make_table

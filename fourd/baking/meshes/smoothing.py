@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.meshes.mesh import Mesh
+from fourd.formats.mesh import Mesh
 
 ROUNDS = 8
 """Number of smoothing rounds, each of which replaces a normal by the mean of the normals around it. Eight rounds

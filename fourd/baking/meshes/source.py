@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fourd.baking.meshes.glb import read_glb_mesh
-from fourd.baking.meshes.mesh import Mesh
-from fourd.baking.meshes.ply import read_ply_mesh
 from fourd.errors import UserError
 from fourd.formats.frame_numbers import sort_sequence
+from fourd.formats.glb_mesh import read_glb_mesh
+from fourd.formats.mesh import Mesh
 from fourd.formats.ply import read_header
+from fourd.formats.ply_mesh import read_ply_mesh
 
 ANIMATION_NAME = "animation.glb"
 """Name of the file that contains all frames as an animation. `fourd mesh` writes it beside the files of the single

@@ -21,7 +21,7 @@ from fourd.cli.options import (
 from fourd.cli.outputs import READS, WRITES
 from fourd.errors import UserError
 from fourd.mesh.fitting.settings import FitSettings
-from fourd.mesh.settings import MeshFormat, MeshSettings
+from fourd.mesh.settings import MAX_TEXTURE_SIZE, MeshFormat, MeshSettings
 from fourd.mesh.surface.remeshing import remeshing_is_available
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
@@ -95,8 +95,8 @@ def _settings(arguments: Arguments) -> MeshSettings:
         value = getattr(arguments, name)
         if value < least:
             raise UserError(f"--{name.replace('_', '-')}: expected at least {least}, got {value}")
-    if arguments.texture_size > 16384:
-        raise UserError(f"--texture-size: expected at most 16384 texels, got {arguments.texture_size}")
+    if arguments.texture_size > MAX_TEXTURE_SIZE:
+        raise UserError(f"--texture-size: expected at most {MAX_TEXTURE_SIZE} texels, got {arguments.texture_size}")
     if not 0 <= arguments.remesh < float("inf"):
         raise UserError(f"--remesh: expected 0 or more cells, got {arguments.remesh:g}")
     if arguments.remesh > 0 and not remeshing_is_available():

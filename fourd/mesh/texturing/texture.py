@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from fourd.errors import UserError
+from fourd.formats.glb_mesh import read_glb_mesh
+from fourd.mesh.settings import MAX_TEXTURE_SIZE
 from fourd.mesh.surface.losses import vertex_normals
 from fourd.mesh.texturing.atlas import build_atlas, find_texels
 from fourd.mesh.texturing.blending import blend_views
@@ -34,6 +38,18 @@ class TexturedMesh:
     normals: NDArray[np.float32]
     uv: NDArray[np.float32]
     texture: NDArray[np.uint8]
+
+
+def read_textured_mesh(path: Path) -> TexturedMesh:
+    """Read a mesh from a GLB file that ``fourd mesh`` wrote.
+
+    Raises:
+        UserError: if the file is missing or damaged, or its mesh has no texture.
+    """
+    mesh = read_glb_mesh(path, MAX_TEXTURE_SIZE)
+    if mesh.normals is None or mesh.uv is None or mesh.texture is None:
+        raise UserError(f"{path}: expected a mesh with a texture, got none; run fourd mesh again")
+    return TexturedMesh(mesh.xyz, mesh.triangles, mesh.normals, mesh.uv, mesh.texture)
 
 
 def texture_mesh(

@@ -14,11 +14,10 @@ from fourd.capture import Capture, open_capture
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
 from fourd.limits import read_json
-from fourd.mesh.files.glb import read_mesh
 from fourd.mesh.rendering import render_mesh, silhouette_iou
 from fourd.mesh.sequence import mesh_capture
 from fourd.mesh.settings import MeshSettings
-from fourd.mesh.texturing.texture import TexturedMesh
+from fourd.mesh.texturing.texture import TexturedMesh, read_textured_mesh
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.plates import MATTE_PATTERNS
@@ -99,7 +98,7 @@ def run_mesh(files: MeshFiles, settings: MeshStageSettings, context: Context) ->
         scores = [
             score
             for frame in context.track(range(len(paths)), len(paths), "scores")
-            for score in score_mesh(read_mesh(paths[frame]), whole, test, frame)
+            for score in score_mesh(read_textured_mesh(paths[frame]), whole, test, frame)
         ]
     content = {"mean": asdict(mean_score(scores)), "pictures": [asdict(score) for score in scores]}
     write_text_atomically(files.meshes / SCORES_NAME, json.dumps(content, indent=1) + "\n")

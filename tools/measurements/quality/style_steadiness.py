@@ -31,7 +31,7 @@ from fourd.baking import BakedFrame, Scene, open_scene
 from fourd.baking.styled.normals import add_normals
 from fourd.baking.styled.player import StyledPlayer
 from fourd.cameras import Camera
-from fourd.mesh.files.glb import read_mesh
+from fourd.formats.glb_mesh import read_glb_mesh
 from fourd.mesh.views import depth_image
 from fourd.stylize import Style, load_style
 from fourd.viewer.display import DisplaySettings, RenderRequest
@@ -178,7 +178,7 @@ def _truths(scene: Scene, meshes: Path | None, camera: Camera) -> Iterator[Truth
             surface = player.draw_surface(_frame(scene, index), camera, scene.manifest)
             yield Truth(surface.inverse_depth.copy(), surface.unit_normal.copy())
         else:
-            mesh = read_mesh(meshes / f"{numbers[index]:06d}.glb")
+            mesh = read_glb_mesh(meshes / f"{numbers[index]:06d}.glb")
             depth = depth_image(torch.from_numpy(mesh.xyz), torch.from_numpy(mesh.triangles), camera)
             yield Truth((1 / depth).astype(np.float32), _normals_of_depth(depth, camera))
 

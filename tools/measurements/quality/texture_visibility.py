@@ -22,11 +22,10 @@ from numpy.typing import NDArray
 from fourd.cameras import Camera
 from fourd.capture import open_capture
 from fourd.capture.pictures.mask_source import frame_masks
-from fourd.mesh.files.glb import read_mesh
 from fourd.mesh.texturing.atlas import Atlas, find_texels
 from fourd.mesh.texturing.blending import blend_views
 from fourd.mesh.texturing.inpainting import fill_between_charts, fill_vertices
-from fourd.mesh.texturing.texture import TexturedMesh
+from fourd.mesh.texturing.texture import TexturedMesh, read_textured_mesh
 from fourd.mesh.texturing.visibility import Occluder
 from fourd.mesh.views import MeshView, depth_image, mesh_views
 from fourd.pipeline.stages.mesh import mean_score, score_mesh
@@ -121,7 +120,7 @@ def main() -> None:
     capture = open_capture(arguments.capture, views=[name for name in whole.names if name not in test])
     images = [capture.image(index, 0) for index in range(len(capture.names))]
     views = mesh_views(images, frame_masks(capture, 0), capture.cameras)
-    mesh = read_mesh(arguments.mesh)
+    mesh = read_textured_mesh(arguments.mesh)
     welded, source = weld(mesh)
     indices = [whole.names.index(name) for name in test]
     plain = Occluder.of(welded, source[mesh.triangles])

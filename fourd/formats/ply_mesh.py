@@ -1,4 +1,4 @@
-"""Reading of triangle meshes in PLY files."""
+"""Triangle meshes in PLY files."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.baking.meshes.mesh import Mesh
 from fourd.errors import UserError
+from fourd.formats.mesh import Mesh
 from fourd.formats.ply import read_faces, read_ply, read_vertices
 from fourd.formats.ply_colours import find_colours
 

@@ -15,8 +15,8 @@ from typing import Any
 
 from fourd.cameras import Array
 from fourd.files import atomic_path
-from fourd.formats.glb import FLOAT, pad, up_rotation, write_header
-from fourd.mesh.files.glb import ASSET, UNLIT, GlbFile, material, read_glb, sampler
+from fourd.formats.glb import FLOAT, GlbFile, name_errors, pad, read_glb, up_rotation, write_header
+from fourd.formats.glb_mesh import UNLIT, sampler, textured_material
 
 HIDDEN, SHOWN = [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]
 
@@ -28,7 +28,7 @@ def write_animation(path: Path, frames: Sequence[Path], fps: float, up: Array) -
 
     Args:
         path: the file to write.
-        frames: files written by :func:`fourd.mesh.files.glb.write_glb`, in temporal order, at least one.
+        frames: files written by :func:`fourd.formats.glb_mesh.write_textured_glb`, in temporal order, at least one.
         fps: frames per second, more than 0.
         up: (3,) nonzero up direction of the scene in world coordinates.
 
@@ -44,7 +44,8 @@ def write_animation(path: Path, frames: Sequence[Path], fps: float, up: Array) -
     document = _empty_document(len(files), up)
     offset = 0
     for index, file in enumerate(files):
-        _append_frame(document, file, offset, index)
+        with name_errors(file.path):
+            _append_frame(document, file, offset, index)
         offset += file.length + -file.length % 4
     keys = _append_keyframes(document, len(files), fps, offset)
     document["buffers"] = [{"byteLength": offset + len(keys)}]
@@ -61,7 +62,7 @@ def write_animation(path: Path, frames: Sequence[Path], fps: float, up: Array) -
 def _empty_document(count: int, up: Array) -> dict[str, Any]:
     children = list(range(1, count + 1))
     return {
-        "asset": ASSET,
+        "asset": {"version": "2.0", "generator": "fourd mesh"},
         "extensionsUsed": [UNLIT],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
@@ -89,7 +90,7 @@ def _append_frame(document: dict[str, Any], file: GlbFile, offset: int, index: i
     image = file.document["images"][0]
     document["images"].append(image | {"bufferView": image["bufferView"] + first_view})
     document["textures"].append({"source": index, "sampler": 0})
-    document["materials"].append(material(index))
+    document["materials"].append(textured_material(index))
     document["meshes"].append({"primitives": [{"attributes": attributes, "indices": indices, "material": index}]})
     scale = SHOWN if index == 0 else HIDDEN
     document["nodes"].append({"name": file.path.stem, "mesh": index, "scale": scale})

@@ -14,36 +14,47 @@ import pytest
 import trimesh
 
 from fourd.errors import UserError
-from fourd.formats.glb import up_rotation
-from fourd.mesh.files.animation import write_animation
-from fourd.mesh.files.glb import read_glb, read_mesh, write_glb
-from fourd.mesh.files.ply import write_mesh_ply
-from fourd.mesh.texturing.texture import TexturedMesh
+from fourd.formats.glb import read_glb, up_rotation
+from fourd.formats.glb_animation import write_animation
+from fourd.formats.glb_mesh import encode_texture, read_glb_mesh, write_textured_glb
+from fourd.formats.mesh import Mesh
+from fourd.formats.ply import write_ply
 
 Z_UP = np.array([0.0, 0.0, 2.0])
 
 
-def textured_box(side: float = 1.0) -> TexturedMesh:
+def textured_box(side: float = 1.0) -> Mesh:
     box = trimesh.creation.box(extents=(side, 2 * side, 3 * side))
     xyz = np.asarray(box.vertices, np.float32)
     ramp = np.linspace(0, 255, 32, dtype=np.uint8)
     texture = np.stack([np.broadcast_to(ramp, (32, 32)), np.broadcast_to(ramp[:, None], (32, 32))], axis=-1)
-    return TexturedMesh(
+    return Mesh(
         xyz,
         np.asarray(box.faces, np.int32),
         xyz / np.linalg.norm(xyz, axis=1, keepdims=True),
-        (xyz[:, :2] / (2 * side) / 2 + 0.5).astype(np.float32),
-        np.concatenate([texture, np.full((32, 32, 1), 90, np.uint8)], axis=-1),
+        uv=(xyz[:, :2] / (2 * side) / 2 + 0.5).astype(np.float32),
+        texture=np.concatenate([texture, np.full((32, 32, 1), 90, np.uint8)], axis=-1),
+        up=Z_UP,
     )
+
+
+def write_glb(path: Path, mesh: Mesh) -> None:
+    assert mesh.normals is not None
+    assert mesh.uv is not None
+    assert mesh.texture is not None
+    write_textured_glb(path, mesh.xyz, mesh.normals, mesh.uv, mesh.texture, mesh.triangles, mesh.up)
 
 
 def test_glb_round_trip(tmp_path: Path) -> None:
     """Catches arrays that are stored with a wrong type, order or offset."""
     mesh = textured_box()
-    write_glb(tmp_path / "a.glb", mesh, Z_UP)
-    read = read_mesh(tmp_path / "a.glb")
-    for name in ("xyz", "triangles", "normals", "uv"):
+    write_glb(tmp_path / "a.glb", mesh)
+    read = read_glb_mesh(tmp_path / "a.glb")
+    for name in ("xyz", "triangles", "uv"):
         np.testing.assert_array_equal(getattr(read, name), getattr(mesh, name))
+    np.testing.assert_allclose(read.normals, mesh.normals, atol=1e-6)
+    np.testing.assert_allclose(read.up, (0, 0, 1), atol=1e-12)
+    assert read.texture is not None
     assert np.abs(read.texture.astype(int) - mesh.texture).max() <= 6
     assert [path.name for path in tmp_path.iterdir()] == ["a.glb"]
 
@@ -51,7 +62,7 @@ def test_glb_round_trip(tmp_path: Path) -> None:
 def test_other_programs_see_the_up_direction_and_the_texture(tmp_path: Path) -> None:
     """Catches axes that are not y-up, and a texture that is upside down or has swapped channels."""
     mesh = textured_box()
-    write_glb(tmp_path / "a.glb", mesh, Z_UP)
+    write_glb(tmp_path / "a.glb", mesh)
     loaded = trimesh.load(tmp_path / "a.glb").to_geometry()
     np.testing.assert_allclose(loaded.extents, [1, 3, 2], atol=1e-5)
     assert loaded.is_volume
@@ -73,7 +84,7 @@ def test_exactly_one_frame_of_the_animation_is_shown_at_any_time(tmp_path: Path)
     """Catches frames that overlap, gaps between frames, and accessors that point into another frame."""
     paths = [tmp_path / f"{number:06d}.glb" for number in range(3)]
     for number, path in enumerate(paths):
-        write_glb(path, textured_box(1.0 + number), Z_UP)
+        write_glb(path, textured_box(1.0 + number))
     write_animation(tmp_path / "animation.glb", paths, 10.0, Z_UP)
     file = read_glb(tmp_path / "animation.glb")
     document = file.document
@@ -103,7 +114,7 @@ def test_khronos_validator_accepts_the_files(tmp_path: Path) -> None:
         pytest.skip("node or the npm package gltf-validator is not installed (NODE_PATH names its folder)")
     paths = [tmp_path / "a.glb", tmp_path / "b.glb"]
     for path in paths:
-        write_glb(path, textured_box(), Z_UP)
+        write_glb(path, textured_box())
     write_animation(tmp_path / "animation.glb", paths, 24.0, Z_UP)
     for path in (*paths, tmp_path / "animation.glb"):
         program = (
@@ -119,41 +130,39 @@ def test_ply_opens_in_other_programs(tmp_path: Path) -> None:
     """Catches a wrong header or a wrong layout of rows."""
     mesh = textured_box()
     rgb = np.arange(24, dtype=np.uint8).reshape(8, 3)
-    write_mesh_ply(tmp_path / "a.ply", mesh.xyz, mesh.normals, rgb, mesh.triangles)
+    write_ply(tmp_path / "a.ply", mesh.xyz, rgb, mesh.normals, mesh.triangles)
     loaded = trimesh.load(tmp_path / "a.ply", process=False)
     np.testing.assert_array_equal(loaded.vertices, mesh.xyz)
     np.testing.assert_array_equal(loaded.faces, mesh.triangles)
     np.testing.assert_array_equal(loaded.visual.vertex_colors[:, :3], rgb)
 
 
-def test_damaged_files_are_named(tmp_path: Path) -> None:
-    """Catches a traceback, or a message without the file's name, for files that are missing, cut or of another kind."""
-    path = tmp_path / "a.glb"
-    with pytest.raises(UserError, match=r"a\.glb: expected a GLB file, got no such file"):
-        read_mesh(path)
-    write_glb(path, textured_box(), Z_UP)
-    whole = path.read_bytes()
-    for content in (b"", b"no mesh at all, but text", whole[:-7], whole[:30], b"\0" + whole[1:]):
-        path.write_bytes(content)
-        with pytest.raises(UserError, match=r"a\.glb: expected an intact GLB file"):
-            read_mesh(path)
-    length = struct.unpack("<I", whole[12:16])[0]
-    other = json.loads(whole[20 : 20 + length])
+def test_frames_of_an_animation_are_checked(tmp_path: Path) -> None:
+    """Catches a traceback, or a message without the file's name, for frames that are missing, cut or no meshes."""
+    path, out = tmp_path / "a.glb", tmp_path / "b.glb"
+    with pytest.raises(UserError, match=r"a\.glb: expected a GLB file, got 'No such file"):
+        write_animation(out, [path], 10.0, Z_UP)
+    write_glb(path, textured_box())
+    with pytest.raises(ValueError, match="frames: expected at least one"):
+        write_animation(out, [], 10.0, Z_UP)
+    with pytest.raises(ValueError, match="fps: expected more than 0"):
+        write_animation(out, [path], 0.0, Z_UP)
+    content = path.read_bytes()
+    for damaged in (b"", b"no mesh at all, but text", content[:-7], content[:30], b"\0" + content[1:]):
+        path.write_bytes(damaged)
+        with pytest.raises(UserError, match=r"a\.glb: expected [^\n]*; write the file again"):
+            write_animation(out, [path], 10.0, Z_UP)
+    length = struct.unpack("<I", content[12:16])[0]
+    other = json.loads(content[20 : 20 + length])
     other["meshes"] = []
     text = json.dumps(other, separators=(",", ":")).encode().ljust(length)
-    path.write_bytes(whole[:20] + text + whole[20 + length :])
-    with pytest.raises(UserError, match=r"a\.glb: expected a textured mesh that fourd mesh wrote"):
-        read_mesh(path)
-    with pytest.raises(ValueError, match="frames: expected at least one"):
-        write_animation(tmp_path / "b.glb", [], 10.0, Z_UP)
-    with pytest.raises(ValueError, match="fps: expected more than 0"):
-        write_animation(tmp_path / "b.glb", [path], 0.0, Z_UP)
+    path.write_bytes(content[:20] + text + content[20 + length :])
+    with pytest.raises(UserError, match=r"a\.glb: expected a mesh that fourd wrote, got a file of another structure"):
+        write_animation(out, [path], 10.0, Z_UP)
 
 
 def test_colours_of_the_texture_survive_jpeg() -> None:
     """Catches swapped red and blue channels in the encoder."""
-    from fourd.mesh.files.glb import encode_texture
-
     red = np.zeros((16, 16, 3), np.uint8)
     red[..., 0] = 200
     decoded = cv2.imdecode(np.frombuffer(encode_texture(red), np.uint8), cv2.IMREAD_COLOR_RGB)

@@ -1,1 +1,0 @@
-"""Mesh files: GLB with textures and animation, and PLY."""
