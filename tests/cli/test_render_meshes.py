@@ -183,6 +183,21 @@ def test_a_texture_that_is_damaged(tmp_path: Path) -> None:
         read_glb_mesh(path)
 
 
+def test_a_texture_that_is_too_large(tmp_path: Path) -> None:
+    """Catches a texture whose size is not checked, and a limit that the caller cannot raise."""
+    mesh = plane((0, 0, -1), np.zeros((2, 9000, 3), np.uint8))
+    assert mesh.normals is not None
+    assert mesh.uv is not None
+    assert mesh.texture is not None
+    path = tmp_path / "mesh.glb"
+    write_textured_glb(path, mesh.xyz, mesh.normals, mesh.uv, mesh.texture, mesh.triangles, UP)
+    with pytest.raises(UserError, match="expected a texture of at most 8192 texels per side, got 9000 x 2;"):
+        read_glb_mesh(path)
+    found = read_glb_mesh(path, 9000)
+    assert found.texture is not None
+    assert found.texture.shape == (2, 9000, 3)
+
+
 def test_damaged_files_end_with_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Catches a traceback for files that are truncated, missing, not meshes, or have indices out of range."""
     good = write_as(tmp_path / "good.glb", sphere(rings=6)).read_bytes()
