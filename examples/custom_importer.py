@@ -23,13 +23,13 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from fourd.cameras import Camera
-from fourd.errors import UserError, command_line
-from fourd.importing.detection import Format
-from fourd.importing.folders import picture_files
-from fourd.importing.imported import Imported, ImportedCamera
-from fourd.importing.importer import ImportOptions, import_source
-from fourd.progress import untracked
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError, command_line
+from fourd.base.progress import untracked
+from fourd.recording.importing.detection import Format
+from fourd.recording.importing.folders import picture_files
+from fourd.recording.importing.imported import Imported, ImportedCamera
+from fourd.recording.importing.importer import ImportOptions, import_source
 
 RIG_NAME = "rig.json"
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0])

@@ -14,9 +14,9 @@ import numpy as np
 import tyro
 from PIL import Image
 
-from fourd.baking import open_scene
-from fourd.baking.player import Player
-from fourd.cameras import Camera
+from fourd.base.cameras import Camera
+from fourd.scene import open_scene
+from fourd.scene.player import Player
 
 
 @dataclass(frozen=True)

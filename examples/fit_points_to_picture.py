@@ -16,8 +16,8 @@ import tyro
 from PIL import Image
 from torch import Tensor
 
-from fourd.cameras import Camera, look_at
-from fourd.raster import render_points
+from fourd.base.cameras import Camera, look_at
+from fourd.rendering import render_points
 
 
 @dataclass(frozen=True)

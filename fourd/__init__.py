@@ -1,11 +1,50 @@
 """fourd turns multi-view video of a moving scene into a 4D point scene.
 
-Importing this package loads neither native modules nor torch; each subpackage loads its own dependencies.
+Importing this package loads neither native modules nor torch. The names in ``__all__`` are loaded at their first use:
+
+- :func:`make` and :func:`train` run the pipeline, as the commands of the same names do.
+- :func:`open_capture` reads the cameras, images and mattes of a capture.
+- :func:`open_scene` reads a ``.4dv`` scene, and :class:`Player` draws its frames. Neither needs torch.
+- :func:`render_points` is the differentiable point renderer, for a :class:`Camera`.
 """
 
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fourd.base.cameras import Camera
+    from fourd.base.errors import UserError
+    from fourd.pipeline.library import make, train
+    from fourd.recording.capture import open_capture
+    from fourd.rendering import render_points
+    from fourd.scene import open_scene
+    from fourd.scene.player import Player
+
+__all__ = ["Camera", "Player", "UserError", "make", "open_capture", "open_scene", "render_points", "train"]
+
+_MODULES = {
+    "Camera": "base.cameras",
+    "Player": "scene.player",
+    "UserError": "base.errors",
+    "make": "pipeline.library",
+    "open_capture": "recording.capture",
+    "open_scene": "scene",
+    "render_points": "rendering",
+    "train": "pipeline.library",
+}
 
 try:
     __version__ = version("fourd")
 except PackageNotFoundError:  # the package is used from a source folder, without installation
     __version__ = "0+unknown"
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

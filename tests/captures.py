@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.cameras import Camera, look_at
-from fourd.capture import write_calibration
-from fourd.ops.points.arrays import render_points_numpy
+from fourd.base.cameras import Camera, look_at
+from fourd.recording.capture import write_calibration
+from fourd.rendering.ops.points.arrays import render_points_numpy
 
 
 def ring_cameras(count: int, size: int) -> list[Camera]:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.ops.gpu import cuda_unavailable_reason
+from fourd.rendering.ops.gpu import cuda_unavailable_reason
 from tests.captures import write_ball_capture
 
 

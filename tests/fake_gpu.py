@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_flatten, tree_map
 
-from fourd.raster import points
+from fourd.rendering import points
 
 FAKE_GPU = torch.device("meta")
 COPIES = ("aten::_to_copy", "aten::copy_")

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.boards import CalibrationBoard, charuco_board, draw_board, ink_rectangles, read_board, write_board
-from fourd.calibration.chessboard import find_corners
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.recording.boards import CalibrationBoard, charuco_board, draw_board, ink_rectangles, read_board, write_board
+from fourd.recording.calibration.chessboard import find_corners
 
 CHARUCO = CalibrationBoard(4, 5, 0.054, 0.0405, "DICT_4X4_1000")
 CHESSBOARD = CalibrationBoard(8, 5, 0.03)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fourd.cameras import Camera, fading_weights, look_at, nearest_views, select_views
+from fourd.base.cameras import Camera, fading_weights, look_at, nearest_views, select_views
 
 INTRINSICS = np.array([[100.0, 0, 32], [0, 110, 24], [0, 0, 1]])
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from fourd.configs import load_overlay, save_config, to_yaml
-from fourd.errors import UserError
-from fourd.training.config import TrainConfig
+from fourd.base.configs import load_overlay, save_config, to_yaml
+from fourd.base.errors import UserError
+from fourd.reconstruction.training.config import TrainConfig
 
 
 def overlay(tmp_path: Path, text: str) -> TrainConfig:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from fourd.errors import UserError
-from fourd.files import (
+from fourd.base.errors import UserError
+from fourd.base.files import (
     UNFINISHED,
     atomic_folder,
     atomic_path,

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from fourd.errors import UserError
-from fourd.limits import open_regular, printable, read_fraction, read_json, read_limited, require_regular
-from fourd.progress import Terminal
+from fourd.base.errors import UserError
+from fourd.base.limits import open_regular, printable, read_fraction, read_json, read_limited, require_regular
+from fourd.base.progress import Terminal
 
 
 def test_pipes_and_devices_are_refused_at_once(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fourd.ops.morton import morton_order
+from fourd.rendering.ops.morton import morton_order
 
 
 def test_neighbours_in_memory_are_neighbours_in_space(rng: np.random.Generator) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from fourd.parallel import run_jobs, split_into_blocks
+from fourd.base.parallel import run_jobs, split_into_blocks
 
 PARENT = """
 import signal

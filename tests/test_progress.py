@@ -9,14 +9,14 @@ from collections.abc import Iterator
 import pytest
 from rich.console import Console
 
-from fourd.progress import EndEstimate, Tracker, format_duration
+from fourd.base.progress import EndEstimate, Tracker, format_duration
 
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """A clock that is controlled by tests. The only element of the list is the time in seconds."""
     now = [100.0]
-    monkeypatch.setattr("fourd.progress.monotonic", lambda: now[0])
+    monkeypatch.setattr("fourd.base.progress.monotonic", lambda: now[0])
     return now
 
 

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import tyro
 
-from fourd.files import write_text_atomically
+from fourd.base.files import write_text_atomically
 
 ROOT = Path(__file__).resolve().parents[1]
 ACCEPTED = ROOT / "tools" / "instructions.json"

@@ -17,12 +17,12 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from fourd.baking import Scene, open_scene
-from fourd.cameras import Camera
-from fourd.capture import open_capture
+from fourd.base.cameras import Camera
+from fourd.base.errors import command_line
+from fourd.base.files import atomic_path
 from fourd.cli.main import main as fourd
-from fourd.errors import command_line
-from fourd.files import atomic_path
+from fourd.recording.capture import open_capture
+from fourd.scene import Scene, open_scene
 from fourd.viewer.navigation.paths import orbit
 
 TEST_VIEWS = "03,09"

@@ -28,7 +28,7 @@ cd "$site"
 "$python" - <<'PYTHON'
 import os, sys
 import fourd
-from fourd.ops.gpu import has_gpu
+from fourd.rendering.ops.gpu import has_gpu
 
 if not fourd.__file__.startswith(os.getcwd()):
     sys.exit(f"gpu_check: expected the package just built, got {fourd.__file__}; use a Python without an editable fourd")

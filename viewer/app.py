@@ -8,8 +8,8 @@ from typing import Literal
 
 from rich.console import Console
 
-from fourd.errors import UserError
-from fourd.stylize.tables import ShadeMapError
+from fourd.base.errors import UserError
+from fourd.scene.styles.tables import ShadeMapError
 from fourd.viewer import controls
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.loaded_scene import LoadedScene

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fourd.baking import BakedFrame, SceneManifest
-from fourd.cameras import Camera
-from fourd.stylize import Style
+from fourd.base.cameras import Camera
+from fourd.scene import BakedFrame, SceneManifest
+from fourd.scene.styles import Style
 
 MIN_SCALE, MAX_SCALE = 0.1, 10.0
 """Smallest and largest scale factor for point size and density in the panel."""

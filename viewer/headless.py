@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from fourd.cameras import Camera
-from fourd.errors import UserError
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.loaded_scene import LoadedScene
 from fourd.viewer.navigation.paths import PathKind, camera_path, fit_camera

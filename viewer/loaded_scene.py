@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.baking import SceneManifest
-from fourd.cameras import estimate_up
+from fourd.base.cameras import estimate_up
+from fourd.scene import SceneManifest
 from fourd.viewer.navigation.pose import Pose, pose_facing, pose_from_camera
 from fourd.viewer.playback.prefetch import BUFFER_BYTES, BakedFrameSource, FramePrefetcher
 from fourd.viewer.playback.sources import RunSource

@@ -6,11 +6,11 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 
-from fourd.baking import BakedFrame
-from fourd.cameras import Camera
-from fourd.errors import UserError
-from fourd.stylize import PRESETS, Style, load_style
-from fourd.stylize.tables import make_table
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
+from fourd.scene import BakedFrame
+from fourd.scene.styles import PRESETS, Style, load_style
+from fourd.scene.styles.tables import make_table
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.loaded_scene import LoadedScene
 from fourd.viewer.navigation.pose import Pose, interpolate_poses

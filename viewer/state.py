@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.configs import save_config
-from fourd.errors import UserError
-from fourd.stylize.presets import STYLE_SUFFIXES
+from fourd.base.configs import save_config
+from fourd.base.errors import UserError
+from fourd.scene.styles.presets import STYLE_SUFFIXES
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.loaded_scene import LoadedScene

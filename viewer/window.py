@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from fourd.errors import UserError
+from fourd.base.errors import UserError
 
 
 class Window:

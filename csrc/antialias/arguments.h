@@ -1,4 +1,4 @@
-// Checks and converts the arguments of antialiasing, for the CPU and a GPU. fourd/raster/triangles/antialiasing.py
+// Checks and converts the arguments of antialiasing, for the CPU and a GPU. fourd/rendering/triangles/antialiasing.py
 // checks the values of the arguments. This file checks the shapes of arrays, because a kernel would read past the end
 // of an array that is too small.
 #pragma once

@@ -1,4 +1,4 @@
-// Python bindings of antialiasing; fourd/ops/antialias/op.py documents the operations.
+// Python bindings of antialiasing; fourd/rendering/ops/antialias/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 
@@ -46,7 +46,7 @@ void bind_antialias(nb::module_& module) {
     module.def("antialias", &blend, nb::arg("color"), nb::arg("rast"), nb::arg("pos"), nb::arg("tri"),
                nb::arg("opposite"), nb::arg("instanced"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
                nb::arg("codes"),
-               "Documented in fourd.ops.antialias.op.\n"
+               "Documented in fourd.rendering.ops.antialias.op.\n"
                "Sizes: color=B,H,W,C rast=B,H,W pos=1,V tri=T tri<V opposite=T opposite<V out=B,H,W,C codes=B,H,W\n"
                "Sizes: color=B,H,W,C rast=B,H,W pos=B,V tri=T tri<V opposite=T opposite<V out=B,H,W,C codes=B,H,W");
     module.def("antialias_backward", &blend_backward, nb::arg("color"), nb::arg("rast"), nb::arg("pos"), nb::arg("tri"),

@@ -2,6 +2,6 @@
 #include "binding/module.h"
 
 NB_MODULE(_cuda, module) {
-    module.doc() = "fourd's CUDA kernels (internal; use fourd.raster and fourd.baking)";
+    module.doc() = "fourd's CUDA kernels (internal; use fourd.rendering and fourd.scene)";
     fourd::cuda::bind_module(module);
 }

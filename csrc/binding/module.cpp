@@ -10,7 +10,7 @@
 #include "common/simd.h"
 
 NB_MODULE(_native, module) {
-    module.doc() = "fourd's native kernels (internal; use fourd.raster and fourd.baking)";
+    module.doc() = "fourd's native kernels (internal; use fourd.rendering and fourd.scene)";
     module.def(
         "max_threads", [] { return std::max(1u, std::thread::hardware_concurrency()); },
         "Number of threads that kernels use by default.");

@@ -1,4 +1,4 @@
-// Python bindings of the blend MLP; fourd/ops/blend/op.py documents the operations.
+// Python bindings of the blend MLP; fourd/rendering/ops/blend/op.py documents the operations.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>

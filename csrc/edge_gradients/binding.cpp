@@ -1,4 +1,4 @@
-// Python binding that computes the gradients of moving visibility edges; fourd/ops/edge_gradients/op.py documents the
+// Python binding that computes the gradients of moving visibility edges; fourd/rendering/ops/edge_gradients/op.py documents the
 // operation.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
@@ -32,7 +32,7 @@ void bind_edge_gradients(nb::module_& module) {
     module.def("edge_gradients", &compute, nb::arg("color"), nb::arg("rast"), nb::arg("pos"), nb::arg("tri"),
                nb::arg("opposite"), nb::arg("instanced"), nb::arg("threads"), nb::arg("simd"), nb::arg("gradient"),
                nb::arg("out_pos"),
-               "Documented in fourd.ops.edge_gradients.op.\n"
+               "Documented in fourd.rendering.ops.edge_gradients.op.\n"
                "Sizes: color=B,H,W,C rast=B,H,W pos=1,V tri=T tri<V opposite=T opposite<V gradient=B,H,W,C "
                "out_pos=1,V\n"
                "Sizes: color=B,H,W,C rast=B,H,W pos=B,V tri=T tri<V opposite=T opposite<V gradient=B,H,W,C "

@@ -1,4 +1,4 @@
-// Checks and converts the arguments of the hash grid, for the CPU and a GPU. fourd/ops/hashgrid/op.py checks the values
+// Checks and converts the arguments of the hash grid, for the CPU and a GPU. fourd/rendering/ops/hashgrid/op.py checks the values
 // of the arguments. This file checks the shapes of arrays, because a kernel would read past the end of an array that is
 // too small.
 #pragma once

@@ -1,4 +1,4 @@
-// Python bindings of the hash grid; fourd/ops/hashgrid/op.py documents the operations.
+// Python bindings of the hash grid; fourd/rendering/ops/hashgrid/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -48,7 +48,7 @@ void encode_backward(const PointsIn& coordinates, const RowsIn& table, const std
 void bind_hashgrid(nb::module_& module) {
     module.def("encode_hash_grid", &encode, nb::arg("coordinates"), nb::arg("table"), nb::arg("resolutions"),
                nb::arg("log2_entries"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
-               "Documented in fourd.ops.hashgrid.op.\n"
+               "Documented in fourd.rendering.ops.hashgrid.op.\n"
                "Sizes: resolutions*L coordinates=N log2_entries=3 table=8L,F out=N,LF");
     module.def("encode_hash_grid_backward", &encode_backward, nb::arg("coordinates"), nb::arg("table"),
                nb::arg("resolutions"), nb::arg("log2_entries"), nb::arg("threads"), nb::arg("simd"),

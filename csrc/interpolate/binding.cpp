@@ -1,4 +1,4 @@
-// Python bindings of the interpolation; fourd/ops/interpolate/op.py documents the operations.
+// Python bindings of the interpolation; fourd/rendering/ops/interpolate/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 
@@ -50,7 +50,7 @@ void bind_interpolate(nb::module_& module) {
     module.def("interpolate_attributes", &interpolate_attributes, nb::arg("attr"), nb::arg("rast"), nb::arg("tri"),
                nb::arg("rast_db").none(), nb::arg("diff"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
                nb::arg("out_da"),
-               "Documented in fourd.ops.interpolate.op.\n"
+               "Documented in fourd.rendering.ops.interpolate.op.\n"
                "Sizes: attr=1,V,C rast=B,H,W,4 tri=T tri<V rast_db=B,H,W,4 diff=D diff<C out=B,H,W,C "
                "out_da=B,H,W,2D\n"
                "Sizes: attr=B,V,C rast=B,H,W,4 tri=T tri<V rast_db=B,H,W,4 diff=D diff<C out=B,H,W,C "

@@ -1,4 +1,4 @@
-// Python binding of the pixel filter. fourd/ops/pixel_filter/op.py documents the operation.
+// Python binding of the pixel filter. fourd/rendering/ops/pixel_filter/op.py documents the operation.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/string.h>
 

@@ -1,4 +1,4 @@
-// Converts the arguments of the K-Planes kernels for the CPU and a GPU. fourd/ops/planes/op.py checks the values of the
+// Converts the arguments of the K-Planes kernels for the CPU and a GPU. fourd/rendering/ops/planes/op.py checks the values of the
 // arguments. This file checks the shapes of arrays, because a kernel would read past the end of an array that is too
 // small.
 #pragma once

@@ -1,4 +1,4 @@
-// Python bindings of K-Planes; fourd/ops/planes/op.py documents the operations.
+// Python bindings of K-Planes; fourd/rendering/ops/planes/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -44,7 +44,7 @@ void sample_planes_backward(const Arguments::Coordinates& coordinates, const std
 void bind_planes(nb::module_& module) {
     module.def("sample_planes", &sample_planes, nb::arg("coordinates"), nb::arg("planes"), nb::arg("axes"),
                nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
-               "Documented in fourd.ops.planes.op.\n"
+               "Documented in fourd.rendering.ops.planes.op.\n"
                "Sizes: coordinates=N planes*P=H,W,F axes*2P out=N,PF");
     module.def("sample_planes_backward", &sample_planes_backward, nb::arg("coordinates"), nb::arg("planes"),
                nb::arg("axes"), nb::arg("threads"), nb::arg("simd"), nb::arg("gradient"), nb::arg("out_planes"),

@@ -1,4 +1,4 @@
-// Python bindings for drawing baked frames and for sorting their points by depth. fourd/ops/play/op.py documents the
+// Python bindings for drawing baked frames and for sorting their points by depth. fourd/rendering/ops/play/op.py documents the
 // operations.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>

@@ -11,7 +11,7 @@ constexpr float kFadeShare = 0.5f;
 
 // Returns the density of a point after the fade: the density, which is first limited to 1, is multiplied by
 // clamp((z - near_depth) / (kFadeShare * near_depth), 0, 1), where z is the point's camera depth. A point at the near
-// plane thus has density 0, and points at or beyond 1.5 * near_depth keep their density. fourd/ops/play/near_fade.py
+// plane thus has density 0, and points at or beyond 1.5 * near_depth keep their density. fourd/rendering/ops/play/near_fade.py
 // gives the reason for the fade. If a number is NaN or infinite, the renderer culls the point with the returned density,
 // as it does with the given density. The depth is computed as in points::project.
 FOURD_HD static inline float faded_density(const points::Pinhole& camera, float near_depth, const float* xyz,

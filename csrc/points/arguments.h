@@ -1,4 +1,4 @@
-// Checks and converts the arguments of the point renderer, for the CPU and a GPU. fourd/ops/points/validation.py checks
+// Checks and converts the arguments of the point renderer, for the CPU and a GPU. fourd/rendering/ops/points/validation.py checks
 // the values of the arguments. This file checks the shapes of arrays, because a kernel would read past the end of an
 // array that is too small.
 #pragma once

@@ -1,4 +1,4 @@
-// Python bindings of the point renderer; fourd/ops/points/op.py documents the operations.
+// Python bindings of the point renderer; fourd/rendering/ops/points/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>

@@ -1,5 +1,5 @@
 // The maths of the point renderer, shared by every backend. The order of operations must not change.
-// fourd/ops/points/reference.py computes the same float32 numbers in the same order, so that kernel and reference find
+// fourd/rendering/ops/points/reference.py computes the same float32 numbers in the same order, so that kernel and reference find
 // exactly the same hits.
 //
 // All functions are static, because they are compiled once per instruction set. Without `static`, the linker could put

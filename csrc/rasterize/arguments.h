@@ -1,4 +1,4 @@
-// Checks and converts the arguments of the rasterizer, for the CPU and a GPU. fourd/ops/rasterize/op.py checks the
+// Checks and converts the arguments of the rasterizer, for the CPU and a GPU. fourd/rendering/ops/rasterize/op.py checks the
 // values of the arguments. This file checks the shapes of arrays, because a kernel would read past the end of an array
 // that is too small.
 #pragma once

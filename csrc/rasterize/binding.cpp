@@ -1,4 +1,4 @@
-// Python bindings of the rasterizer; fourd/ops/rasterize/op.py documents the operations.
+// Python bindings of the rasterizer; fourd/rendering/ops/rasterize/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 
@@ -48,7 +48,7 @@ void bind_rasterize(nb::module_& module) {
     module.def("rasterize_triangles", &rasterize_triangles, nb::arg("pos"), nb::arg("tri"), nb::arg("ranges").none(),
                nb::arg("previous").none(), nb::arg("threads"), nb::arg("simd"), nb::arg("rast"),
                nb::arg("rast_db").none(),
-               "Documented in fourd.ops.rasterize.op.\n"
+               "Documented in fourd.rendering.ops.rasterize.op.\n"
                "Sizes: pos=1,V tri=T tri<V ranges=B ranges<T previous=B,H,W rast=B,H,W rast_db=B,H,W\n"
                "Sizes: pos=B,V tri=T tri<V previous=B,H,W rast=B,H,W rast_db=B,H,W");
     module.def("rasterize_triangles_backward", &rasterize_triangles_backward, nb::arg("pos"), nb::arg("tri"),

@@ -1,5 +1,5 @@
 // The maths of the rasterizer, shared by every backend. The order of operations must not change.
-// fourd/ops/rasterize/reference.py computes the same numbers in the same order, so that kernel and reference find
+// fourd/rendering/ops/rasterize/reference.py computes the same numbers in the same order, so that kernel and reference find
 // exactly the same triangles.
 //
 // Coverage is computed with integers: vertices are rounded to 1/256 pixel, so edge functions have no rounding error. A

@@ -1,4 +1,4 @@
-// Checks and converts the arguments of ray tracing, for the CPU and a GPU. fourd/ops/rays/op.py checks the values of
+// Checks and converts the arguments of ray tracing, for the CPU and a GPU. fourd/rendering/ops/rays/op.py checks the values of
 // the arguments. This file checks the shapes of arrays, because a kernel would read past the end of an array that is
 // too small.
 #pragma once

@@ -1,4 +1,4 @@
-// Python bindings of ray tracing; fourd/ops/rays/op.py documents the operations.
+// Python bindings of ray tracing; fourd/rendering/ops/rays/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>

@@ -1,4 +1,4 @@
-// The maths of ray tracing, shared by every backend. fourd/ops/rays/reference.py computes the same float32 numbers in
+// The maths of ray tracing, shared by every backend. fourd/rendering/ops/rays/reference.py computes the same float32 numbers in
 // the same order.
 //
 // A triangle is hit if the watertight test of Woop, Benthin and Wald (2013, Watertight Ray/Triangle Intersection)

@@ -1,4 +1,4 @@
-// Python bindings of shading; fourd/ops/shade/op.py documents the operations.
+// Python bindings of shading; fourd/rendering/ops/shade/op.py documents the operations.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/string.h>
 
@@ -37,7 +37,7 @@ void bind_shade(nb::module_& module) {
                nb::arg("chosen"), nb::arg("view_weights"), nb::arg("centre"), nb::arg("sh_range"), nb::arg("sh_base"),
                nb::arg("threads"), nb::arg("simd"),
                "Colour (N, 3) of baked points; float16 arrays are passed as uint16 with the same bits. "
-               "Documented in fourd.ops.shade.op.\n"
+               "Documented in fourd.rendering.ops.shade.op.\n"
                "Sizes: xyz=N sh=N blend_weights=N,V rgb=N,V chosen=K chosen<V view_weights=K");
 }
 

@@ -1,4 +1,4 @@
-// Python bindings of structural similarity; fourd/ops/similarity/op.py documents the operations.
+// Python bindings of structural similarity; fourd/rendering/ops/similarity/op.py documents the operations.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>

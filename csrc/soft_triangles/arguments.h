@@ -1,6 +1,6 @@
 // Checks and converts the arguments of soft rasterization, for the CPU and a GPU. This file checks the shapes of
 // arrays, and it checks vertex indices in CPU memory. Without these checks, a kernel could access memory out of bounds.
-// fourd/raster/triangles/soft.py checks the values of all arguments, including vertex indices in GPU memory.
+// fourd/rendering/triangles/soft.py checks the values of all arguments, including vertex indices in GPU memory.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -18,7 +18,7 @@ namespace fourd {
 
 // Returns the settings of soft rasterization. `camera` is the same as for points_settings (points/arguments.h).
 // `softness` has 7 numbers. The first is 1 for barycentric distances, and 0 for Euclidean distances. The others are
-// the arguments sigma, gamma, cutoff, near, far and eps of rasterize_soft (fourd/raster/triangles/soft.py).
+// the arguments sigma, gamma, cutoff, near, far and eps of rasterize_soft (fourd/rendering/triangles/soft.py).
 inline soft_triangles::Settings soft_settings(const std::vector<double>& camera, std::size_t width, std::size_t height,
                                               const std::vector<double>& softness, int layers, int threads,
                                               const std::string& simd) {

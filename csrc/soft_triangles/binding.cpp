@@ -1,4 +1,4 @@
-// Python bindings of soft rasterization; fourd/ops/soft_triangles/op.py documents the operations.
+// Python bindings of soft rasterization; fourd/rendering/ops/soft_triangles/op.py documents the operations.
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 

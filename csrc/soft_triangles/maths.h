@@ -1,7 +1,7 @@
 // The maths of soft rasterization (SoftRas, Liu et al. 2019), shared by every backend.
-// fourd/ops/soft_triangles/reference.py computes the same float32 numbers in the same order.
+// fourd/rendering/ops/soft_triangles/reference.py computes the same float32 numbers in the same order.
 //
-// The parameters sigma, gamma, near and far are arguments of rasterize_soft (fourd/raster/triangles/soft.py).
+// The parameters sigma, gamma, near and far are arguments of rasterize_soft (fourd/rendering/triangles/soft.py).
 //
 // The coverage of the pixel p by a triangle is D = sigmoid(x), with
 //     x = d^2 / sigma inside the triangle, and x = -d^2 / sigma outside.

@@ -1,4 +1,4 @@
-// Python bindings that sample source views. fourd/ops/sources/op.py documents the operations.
+// Python bindings that sample source views. fourd/rendering/ops/sources/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>

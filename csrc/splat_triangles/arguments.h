@@ -1,6 +1,6 @@
 // Checks and converts the arguments of triangle splatting, for the CPU and a GPU. This file checks the shapes of
 // arrays, and it checks vertex indices in CPU memory. Without these checks, a kernel could access memory out of bounds.
-// fourd/raster/triangles/splatting.py checks the values of all arguments, including vertex indices in GPU memory.
+// fourd/rendering/triangles/splatting.py checks the values of all arguments, including vertex indices in GPU memory.
 #pragma once
 
 #include <nanobind/nanobind.h>

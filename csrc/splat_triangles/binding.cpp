@@ -1,4 +1,4 @@
-// Python bindings of triangle splatting; fourd/ops/splat_triangles/op.py documents the operations.
+// Python bindings of triangle splatting; fourd/rendering/ops/splat_triangles/op.py documents the operations.
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 

@@ -1,4 +1,4 @@
-// The maths of triangle splatting, shared by every backend. fourd/ops/splat_triangles/reference.py computes the same
+// The maths of triangle splatting, shared by every backend. fourd/rendering/ops/splat_triangles/reference.py computes the same
 // float32 numbers in the same order, so that kernel and reference find the same hits.
 //
 // A projected triangle has the incentre s and the inradius r. phi_k(p) is the signed distance of a pixel p from edge k,

@@ -1,4 +1,4 @@
-// Python bindings of the stylizer. fourd/ops/stylize/op.py documents the operation.
+// Python bindings of the stylizer. fourd/rendering/ops/stylize/op.py documents the operation.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>

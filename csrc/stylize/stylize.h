@@ -1,4 +1,4 @@
-// Turns the visible surface of an image into a cartoon or a drawing. fourd/ops/stylize/parameters.py documents the
+// Turns the visible surface of an image into a cartoon or a drawing. fourd/rendering/ops/stylize/parameters.py documents the
 // formulas. Callers check shapes, and arrays are dense and row-major.
 #pragma once
 
@@ -34,7 +34,7 @@ constexpr std::uint32_t kLeastStrength = 32;
 enum class Detail { facing = 0, depth = 1, focus = 2 };
 enum class Lines { none = 0, sobel = 1, cross = 2 };
 
-// The numbers of a style, in the order of StyleParameters.numbers in fourd/ops/stylize/parameters.py.
+// The numbers of a style, in the order of StyleParameters.numbers in fourd/rendering/ops/stylize/parameters.py.
 struct Numbers {
     // The ray through the pixel centre (x, y) = (column + 0.5, row + 0.5), in camera axes, is
     // (ray[0] * x + ray[1] * y + ray[2], ray[3] * x + ray[4] * y + ray[5], 1).

@@ -1,4 +1,4 @@
-// Python bindings of texture lookups; fourd/ops/texture/op.py documents the operations.
+// Python bindings of texture lookups; fourd/rendering/ops/texture/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -57,7 +57,7 @@ void bind_texture(nb::module_& module) {
     module.def("sample_texture", &sample_texture, nb::arg("levels"), nb::arg("uv"), nb::arg("uv_da").none(),
                nb::arg("bias").none(), nb::arg("filter"), nb::arg("boundary"), nb::arg("threads"), nb::arg("simd"),
                nb::arg("out"),
-               "Documented in fourd.ops.texture.op.\n"
+               "Documented in fourd.rendering.ops.texture.op.\n"
                "Sizes: levels*L=I,1,H>,W>,C uv=I,N,2 uv_da=I,N,4 bias=I,N out=I,N,C\n"
                "Sizes: levels*L=1,6,H>,H>,C uv=I,N,3 uv_da=I,N,6 bias=I,N out=I,N,C");
     module.def("sample_texture_backward", &sample_texture_backward, nb::arg("levels"), nb::arg("uv"),

@@ -1,5 +1,5 @@
 // Filtered texture lookup with mip levels. Callers check shapes. Every pointer points to a dense row-major array.
-// fourd/raster/triangles/textures.py documents the operations.
+// fourd/rendering/triangles/textures.py documents the operations.
 #pragma once
 
 #include <cstddef>

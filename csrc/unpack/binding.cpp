@@ -1,4 +1,4 @@
-// Python bindings of the decoder of packed scenes; fourd/ops/unpack/op.py documents the operations.
+// Python bindings of the decoder of packed scenes; fourd/rendering/ops/unpack/op.py documents the operations.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
@@ -79,11 +79,11 @@ void unpack_views(const std::vector<Bytes>& contents, const Array<const std::uin
 void bind_unpack(nb::module_& module) {
     module.def("unpack_harmonics", &unpack_harmonics, nb::arg("content"), nb::arg("basis"), nb::arg("mean"),
                nb::arg("simd"), nb::arg("out"),
-               "Documented in fourd.ops.unpack.op.\n"
+               "Documented in fourd.rendering.ops.unpack.op.\n"
                "Sizes: content=2RN basis=R,48 mean=48 out=N,48");
     module.def("unpack_positions", &unpack_positions, nb::arg("content"), nb::arg("lower"), nb::arg("step"),
                nb::arg("out"),
-               "Documented in fourd.ops.unpack.op.\n"
+               "Documented in fourd.rendering.ops.unpack.op.\n"
                "Sizes: content=BN lower=3 out=N,3");
     module.def("unpack_views", &unpack_views, nb::arg("contents"), nb::arg("mean"), nb::arg("weights"),
                nb::arg("colour_step"), nb::arg("every_point_has_colours"), nb::arg("simd"), nb::arg("out_weights"),

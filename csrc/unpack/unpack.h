@@ -1,4 +1,4 @@
-// Decoding of packed scenes. fourd/baking/packed/members.py describes the packed data, and fourd/ops/unpack/op.py
+// Decoding of packed scenes. fourd/scene/packed/members.py describes the packed data, and fourd/rendering/ops/unpack/op.py
 // documents the operations. Callers check sizes.
 #pragma once
 

@@ -1,6 +1,6 @@
 """Fit triangles to an image through OpenGL, which computes no gradients.
 
-The renderer is a black box for fourd.raster.triangles.estimate_gradient: it draws triangles with OpenGL, each in one
+The renderer is a black box for fourd.rendering.triangles.estimate_gradient: it draws triangles with OpenGL, each in one
 colour, and returns the image and the index of the triangle that each pixel shows. Each step of the optimiser draws two
 images.
 """
@@ -17,7 +17,7 @@ import tyro
 from PIL import Image
 from torch import Tensor
 
-from fourd.raster.triangles import estimate_gradient
+from fourd.rendering.triangles import estimate_gradient
 from fourd.viewer.gl.context import offscreen_context
 
 VERTEX_SHADER = """

@@ -32,7 +32,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 from torch.nn.functional import interpolate as resize
 
-from fourd.raster.triangles import antialias, interpolate, rasterize, texture
+from fourd.rendering.triangles import antialias, interpolate, rasterize, texture
 
 COARSEST = 4
 """The coarsest scale of the comparison averages 2^4 x 2^4 pixels."""

@@ -18,7 +18,7 @@ import tyro
 from common import cube, face_colours, perspective, random_rotations, rigid, save, to_clip
 from torch import Tensor
 
-from fourd.raster.triangles import antialias, antialias_construct_topology, interpolate, rasterize
+from fourd.rendering.triangles import antialias, antialias_construct_topology, interpolate, rasterize
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from common import perspective, psnr, random_rotations, rigid, save, to_clip, uv
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from fourd.raster.triangles import interpolate, rasterize, texture
+from fourd.rendering.triangles import interpolate, rasterize, texture
 
 Filter = Literal["linear", "linear-mipmap-linear"]
 

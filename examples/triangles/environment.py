@@ -21,7 +21,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate as resize
 from torch.nn.functional import normalize
 
-from fourd.raster.triangles import interpolate, rasterize, texture
+from fourd.rendering.triangles import interpolate, rasterize, texture
 
 LIGHT = normalize(torch.tensor([1.0, 1.0, 2.0]), dim=0)
 """Direction towards the light, in camera coordinates."""

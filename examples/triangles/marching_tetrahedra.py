@@ -26,14 +26,14 @@ from common import save
 from shapes import Mesh, aeroplane, cameras_around, chamfer_distance, draw, mean_iou, shaded, torus
 from torch import Tensor
 
-from fourd.cameras import Array, Camera
-from fourd.capture import open_capture
-from fourd.carving.bounds import Bounds, hull_bounds
-from fourd.mesh.surface.grid import TetrahedralGrid, box_grid
-from fourd.mesh.surface.losses import MeshTopology, laplacian_loss, normal_consistency_loss
-from fourd.mesh.surface.marching import marching_tetrahedra
-from fourd.mesh.views import MeshView
-from fourd.raster.triangles import Topology, antialias_construct_topology
+from fourd.base.cameras import Array, Camera
+from fourd.reconstruction.carving.bounds import Bounds, hull_bounds
+from fourd.reconstruction.meshes.surface.grid import TetrahedralGrid, box_grid
+from fourd.reconstruction.meshes.surface.losses import MeshTopology, laplacian_loss, normal_consistency_loss
+from fourd.reconstruction.meshes.surface.marching import marching_tetrahedra
+from fourd.reconstruction.meshes.views import MeshView
+from fourd.recording.capture import open_capture
+from fourd.rendering.triangles import Topology, antialias_construct_topology
 
 MAX_OFFSET_CELLS = 0.4
 """Largest offset of a grid vertex along each axis, as a fraction of a grid cube's side. This limit prevents

@@ -31,7 +31,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from fourd.raster.triangles import antialias, interpolate, rasterize
+from fourd.rendering.triangles import antialias, interpolate, rasterize
 
 TRIAL_STEPS = 20
 """Number of steps of a trial in the first half of the search. Each trial optimises a randomly rotated copy of the best

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from fourd.cameras import Camera, look_at
-from fourd.mesh.surface.grid import box_grid
-from fourd.mesh.surface.losses import triangle_normals
-from fourd.mesh.surface.marching import marching_tetrahedra
-from fourd.mesh.views import clip_positions
-from fourd.raster.triangles import Topology, antialias, antialias_construct_topology, interpolate, rasterize
+from fourd.base.cameras import Camera, look_at
+from fourd.reconstruction.meshes.surface.grid import box_grid
+from fourd.reconstruction.meshes.surface.losses import triangle_normals
+from fourd.reconstruction.meshes.surface.marching import marching_tetrahedra
+from fourd.reconstruction.meshes.views import clip_positions
+from fourd.rendering.triangles import Topology, antialias, antialias_construct_topology, interpolate, rasterize
 
 AEROPLANE = (
     ((0.0, 0.0, 0.0), (1.0, 0.17, 0.17)),  # fuselage

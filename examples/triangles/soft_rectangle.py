@@ -20,8 +20,8 @@ import tyro
 from common import save
 from torch import Tensor
 
-from fourd.cameras import Camera, look_at
-from fourd.raster.triangles import rasterize_soft
+from fourd.base.cameras import Camera, look_at
+from fourd.rendering.triangles import rasterize_soft
 
 FIRST_SIGMA, LAST_SIGMA = 1.0, 1e-6
 """Sigma at the start and at the end of the fit. The soft edges are about sqrt(sigma) wide, in units of half of the

@@ -21,9 +21,9 @@ from common import save
 from shapes import Mesh, aeroplane, cameras_around, chamfer_distance, draw, mean_iou, shaded, sphere
 from torch import Tensor
 
-from fourd.cameras import Camera
-from fourd.mesh.surface.losses import MeshTopology, laplacian_loss, normal_consistency_loss
-from fourd.raster.triangles import rasterize_soft
+from fourd.base.cameras import Camera
+from fourd.reconstruction.meshes.surface.losses import MeshTopology, laplacian_loss, normal_consistency_loss
+from fourd.rendering.triangles import rasterize_soft
 
 FIRST_SIGMA, LAST_SIGMA = 3e-3, 1e-5
 """Sigma at the start and at the end of the fit. The soft edges are about sqrt(sigma) wide, in units of half of the

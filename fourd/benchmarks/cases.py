@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from fourd.baking.player import Player
+from fourd.base.cameras import Camera
 from fourd.benchmarks.meshes import antialiasing, interpolating, make_mesh, project, rasterizing
 from fourd.benchmarks.peers import pytorch3d_compositor, pytorch3d_rasterizer
 from fourd.benchmarks.rays import ray_works
@@ -18,15 +18,15 @@ from fourd.benchmarks.textures import trilinear_texture
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.training_step import training_steps
 from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud, make_planes
-from fourd.cameras import Camera
-from fourd.ops.planes.op import sample_planes
-from fourd.ops.planes.reference import sample_planes_reference
-from fourd.ops.points.validation import pack_camera
-from fourd.ops.similarity.op import structural_similarity
-from fourd.ops.similarity.reference import structural_similarity_reference
-from fourd.ops.sources.op import sample_sources
-from fourd.ops.sources.reference import sample_sources_reference
-from fourd.raster import render_points
+from fourd.rendering import render_points
+from fourd.rendering.ops.planes.op import sample_planes
+from fourd.rendering.ops.planes.reference import sample_planes_reference
+from fourd.rendering.ops.points.validation import pack_camera
+from fourd.rendering.ops.similarity.op import structural_similarity
+from fourd.rendering.ops.similarity.reference import structural_similarity_reference
+from fourd.rendering.ops.sources.op import sample_sources
+from fourd.rendering.ops.sources.reference import sample_sources_reference
+from fourd.scene.player import Player
 
 CPU = torch.device("cpu")
 PASSES = ("forward", "backward")

@@ -10,13 +10,13 @@ from collections.abc import Iterator
 
 import torch
 
-from fourd.baking.gpu_player import GpuFrame, GpuPlayer
+from fourd.base.cameras import Camera
 from fourd.benchmarks.cases import Case, composite, plane_case, sampling_case
 from fourd.benchmarks.peers import gsplat_rasterizer
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud
-from fourd.cameras import Camera
-from fourd.ops.gpu import has_gpu
+from fourd.rendering.ops.gpu import has_gpu
+from fourd.scene.gpu_player import GpuFrame, GpuPlayer
 
 REPEATS = 20
 """Number of runs of a computation between two synchronizations with the device."""

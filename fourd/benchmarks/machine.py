@@ -10,8 +10,8 @@ from pathlib import Path
 
 import torch
 
-from fourd.ops.gpu import has_gpu
-from fourd.ops.loading import load_native, simd_name, thread_count
+from fourd.rendering.ops.gpu import has_gpu
+from fourd.rendering.ops.loading import load_native, simd_name, thread_count
 
 
 @dataclass(frozen=True)

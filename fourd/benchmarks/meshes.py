@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.workloads import make_camera
-from fourd.raster.triangles import (
+from fourd.rendering.triangles import (
     antialias,
     antialias_construct_topology,
     clip_matrix,
@@ -75,7 +75,7 @@ def interpolating(count: int, side: int, backward: bool) -> Work:
 def antialiasing(count: int, side: int, *, changes_image: bool = True) -> Work:
     """Return a function that antialiases three channels and computes the gradients with respect to the colours and
     positions. The mesh's edge topology, which antialiasing needs, is built only once, before the timing. If
-    ``changes_image`` is false, ``antialias`` is replaced by :func:`fourd.raster.triangles.edge_gradients`, which
+    ``changes_image`` is false, ``antialias`` is replaced by :func:`fourd.rendering.triangles.edge_gradients`, which
     computes gradients at edges but returns the image unchanged."""
     xyz, tri = make_mesh(count)
     topology = antialias_construct_topology(tri)

@@ -12,8 +12,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from fourd.base.cameras import Camera
 from fourd.benchmarks.timing import Work
-from fourd.cameras import Camera
 
 
 def missing_peers() -> list[str]:

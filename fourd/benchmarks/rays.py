@@ -13,8 +13,8 @@ from fourd.benchmarks.meshes import make_mesh
 from fourd.benchmarks.peers import embree_tracer
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.workloads import make_camera
-from fourd.lenses.lens import Pinhole
-from fourd.raster.rays import Bvh, trace
+from fourd.rendering.rays import Bvh, trace
+from fourd.scene.lenses.lens import Pinhole
 
 
 def primary_rays(side: int) -> tuple[Tensor, Tensor]:

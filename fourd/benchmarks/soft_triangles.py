@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.workloads import SEED, make_camera, make_points
-from fourd.raster.triangles import rasterize_soft, splat_triangles
+from fourd.rendering.triangles import rasterize_soft, splat_triangles
 
 CIRCUMRADIUS = 2.2
 """Circumradius of the triangles, as a multiple of the spacing of their centres. About 8 triangles overlap at each

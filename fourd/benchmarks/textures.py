@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from fourd.benchmarks.timing import Work
-from fourd.raster.triangles import texture
+from fourd.rendering.triangles import texture
 
 SEED = 5
 

@@ -9,14 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from fourd.base.progress import Terminal
 from fourd.benchmarks.timing import Work
 from fourd.pipeline.make import create_run
-from fourd.progress import Terminal
-from fourd.synth import make_synthetic
-from fourd.training.config import TrainConfig
-from fourd.training.loop import Trainer
-from fourd.training.memory import retain_freed_memory
-from fourd.training.run import Run
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.reconstruction.training.loop import Trainer
+from fourd.reconstruction.training.memory import retain_freed_memory
+from fourd.reconstruction.training.run import Run
+from fourd.recording.synth import make_synthetic
 
 POINTS = 65_536
 SIZE = 512

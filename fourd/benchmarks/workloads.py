@@ -7,9 +7,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fourd.baking.scene import BakedFrame, SceneManifest
-from fourd.cameras import Camera, look_at
-from fourd.ops.morton import morton_order
+from fourd.base.cameras import Camera, look_at
+from fourd.rendering.ops.morton import morton_order
+from fourd.scene.scene import BakedFrame, SceneManifest
 
 SEED = 4
 RADIUS_IN_SPACINGS = 1.3

@@ -10,11 +10,11 @@ from typing import Annotated
 
 import tyro
 
+from fourd.base.errors import UserError
+from fourd.base.progress import Terminal, Track, Tracker
+from fourd.base.storage import Location, StorageUrl, local_copy, parse_location
+from fourd.base.storage.url import is_url
 from fourd.cli.outputs import READS, WRITES
-from fourd.errors import UserError
-from fourd.progress import Terminal, Track, Tracker
-from fourd.storage import Location, StorageUrl, local_copy, parse_location
-from fourd.storage.url import is_url
 
 PATH_OR_URL: tyro.constructors.PrimitiveConstructorSpec[Location] = tyro.constructors.PrimitiveConstructorSpec(
     nargs=1,

@@ -11,12 +11,12 @@ from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
 from pathlib import Path
 
+from fourd.base.errors import UserError
+from fourd.base.limits import printable
+from fourd.base.processes import handle_termination
+from fourd.base.processes.torchrun import rank_count
+from fourd.base.progress import Terminal
 from fourd.cli.usage import one_line_of_usage
-from fourd.errors import UserError
-from fourd.limits import printable
-from fourd.processes import handle_termination
-from fourd.processes.torchrun import rank_count
-from fourd.progress import Terminal
 
 COMMANDS = {
     "make": "runs.make",

@@ -9,10 +9,10 @@ from typing import Annotated, Any
 
 import tyro
 
-from fourd.capture.video_list import MAX_OFFSET
+from fourd.base.errors import UserError
+from fourd.base.parallel import core_count
 from fourd.cli.outputs import READS
-from fourd.errors import UserError
-from fourd.parallel import core_count
+from fourd.recording.capture.video_list import MAX_OFFSET
 
 FRAMES_HELP = "Every S-th frame from A to B, B excluded. A and B are indices of frames in the capture, from 0."
 VIEWS_HELP = "Names of cameras, separated by commas."

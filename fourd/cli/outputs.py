@@ -13,12 +13,12 @@ from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
-from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
-from fourd.capture.layout import VIDEOS
-from fourd.errors import UserError
-from fourd.files import resolved
-from fourd.storage import Location, StorageUrl
-from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, LIVE, PREPARATION, SEGMENTS, VALIDATION
+from fourd.base.errors import UserError
+from fourd.base.files import resolved
+from fourd.base.storage import Location, StorageUrl
+from fourd.reconstruction.training.run_layout import CHECKPOINTS, CONFIG_NAME, LIVE, PREPARATION, SEGMENTS, VALIDATION
+from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
+from fourd.recording.capture.layout import VIDEOS
 
 CAPTURE_FILES = (INTRINSICS_NAME, EXTRINSICS_NAME, "images", "masks", VIDEOS, "bgs", "videos.json", "split.json")
 RUN_FILES = (CONFIG_NAME, CHECKPOINTS, SEGMENTS, VALIDATION, LIVE, "metrics.jsonl", *PREPARATION)

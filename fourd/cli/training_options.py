@@ -12,15 +12,15 @@ import tyro
 from rich.console import Console
 from rich.text import Text
 
+from fourd.base.configs import assigned_keys, load_overlay, set_values
+from fourd.base.errors import UserError
+from fourd.base.progress import Terminal
+from fourd.base.storage import local_path
 from fourd.cli.options import FRAMES_HELP, VIEWS_HELP, LpipsWeights, describe, option, split_names
 from fourd.cli.outputs import READS
-from fourd.configs import assigned_keys, load_overlay, set_values
-from fourd.errors import UserError
-from fourd.ops.gpu import DeviceName
 from fourd.pipeline.stages.summary import RunSummary
-from fourd.progress import Terminal
-from fourd.storage import local_path
-from fourd.training.config import TrainConfig
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.rendering.ops.gpu import DeviceName
 
 SEEDING_METHODS = ("ngp", "sfm")
 """Methods that compute the initial background points. ``--background`` accepts one of them or a PLY file."""

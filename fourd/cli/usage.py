@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr
 
-from fourd.errors import UserError
+from fourd.base.errors import UserError
 
 FRAME = " \t│|"
 RULE = re.compile(r"^[─\-+╭╮╰╯ ]{3,}")

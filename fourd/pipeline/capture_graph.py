@@ -8,17 +8,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from fourd.capture.calibration import INTRINSICS_NAME
-from fourd.capture.layout import VIDEOS, camera_folders, camera_names, select_views
-from fourd.capture.pictures.alpha import alpha_is_matte
-from fourd.capture.pictures.listing import masked_cameras
-from fourd.errors import UserError, command_line
-from fourd.importing.importer import ImportOptions
+from fourd.base.errors import UserError, command_line
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stages.hull_mattes import MIN_MASKED, hull_matte_settings, hull_mattes_stage
 from fourd.pipeline.stages.import_ import import_stage
 from fourd.pipeline.stages.mattes import MatteStageSettings, mattes_stage
 from fourd.pipeline.stages.plates import capture_plates_stage
+from fourd.recording.capture.calibration import INTRINSICS_NAME
+from fourd.recording.capture.layout import VIDEOS, camera_folders, camera_names, select_views
+from fourd.recording.capture.pictures.alpha import alpha_is_matte
+from fourd.recording.capture.pictures.listing import masked_cameras
+from fourd.recording.importing.importer import ImportOptions
 
 MASKS = "masks"
 

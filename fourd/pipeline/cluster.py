@@ -16,7 +16,7 @@ from typing import Any
 from rich.console import Console
 
 from fourd import __version__
-from fourd.errors import MAX_REASON, UserError, one_line
+from fourd.base.errors import MAX_REASON, UserError, one_line
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stage import Context
 

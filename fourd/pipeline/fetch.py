@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from fourd.base.storage import StorageUrl, fetch, list_objects
 from fourd.pipeline.stage import Context, Stage
-from fourd.storage import StorageUrl, fetch, list_objects
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.matting.sequence import MatteSettings, chosen_method
 from fourd.pipeline.capture_graph import has_masks, lacks_masks, stages_to_hull_mattes, stages_to_mattes
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.segments import divide_stage, segment_stages
@@ -25,8 +24,9 @@ from fourd.pipeline.stages.points.carve import CarveStageSettings, carve_run_sta
 from fourd.pipeline.stages.points.given_points import GivenPointSettings, given_points_stage
 from fourd.pipeline.stages.still import no_points_stage
 from fourd.pipeline.stages.train import TrainFiles, train_stage
-from fourd.training.cameras.selection import DataSelection
-from fourd.training.config import TrainConfig
+from fourd.reconstruction.training.cameras.selection import DataSelection
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.recording.matting.sequence import MatteSettings, chosen_method
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class RunRequest:
         points_from: folder with the user's points as FRAME.ply files, which replace the carved points. If None, the
             points are carved.
         lpips_weights: file or folder with the weights of LPIPS. If None, the default locations are searched; see
-            :func:`~fourd.training.losses.lpips.load_lpips`.
+            :func:`~fourd.reconstruction.training.losses.lpips.load_lpips`.
         still: true if nothing moves in the scene, which then has no foreground; see :mod:`fourd.pipeline.stages.still`.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
     """

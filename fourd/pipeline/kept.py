@@ -13,10 +13,17 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from fourd.configs import save_config
-from fourd.errors import UserError
-from fourd.files import UNFINISHED, resolved
-from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, PREPARATION, SEGMENTS, checkpoint_files, segment_folders
+from fourd.base.configs import save_config
+from fourd.base.errors import UserError
+from fourd.base.files import UNFINISHED, resolved
+from fourd.reconstruction.training.run_layout import (
+    CHECKPOINTS,
+    CONFIG_NAME,
+    PREPARATION,
+    SEGMENTS,
+    checkpoint_files,
+    segment_folders,
+)
 
 
 @dataclass(frozen=True)
@@ -137,7 +144,7 @@ def _configs(run: Path) -> list[Path]:
 def _capture(config: Path) -> Path | None:
     """Return the capture that a config.yaml names, or None if the file is damaged."""
     # Imported here, because the module imports torch, which stages before training do not need.
-    from fourd.training.run import load_run_config
+    from fourd.reconstruction.training.run import load_run_config
 
     with suppress(UserError):
         return load_run_config(config).capture
@@ -145,7 +152,7 @@ def _capture(config: Path) -> Path | None:
 
 
 def _set_capture(config: Path, capture: Path) -> None:
-    from fourd.training.run import load_run_config
+    from fourd.reconstruction.training.run import load_run_config
 
     content = load_run_config(config)
     if content.capture != resolved(capture):

@@ -8,12 +8,10 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from fourd.capture.frame_rate import set_rate
-from fourd.capture.layout import DERIVED, MATTES
-from fourd.errors import UserError, command_line
-from fourd.files import atomic_path, is_unused, remove_unfinished, remove_unfinished_file, require_suffix
-from fourd.importing.importer import ImportOptions
-from fourd.matting.sequence import MatteSettings, chosen_method, forget_choice
+from fourd.base.errors import UserError, command_line
+from fourd.base.files import atomic_path, is_unused, remove_unfinished, remove_unfinished_file, require_suffix
+from fourd.base.processes import locked_folder
+from fourd.base.storage import Location, StorageUrl, check_writable, upload_changed
 from fourd.pipeline.capture_graph import lacks_masks, stages_to_capture
 from fourd.pipeline.cluster import Cluster
 from fourd.pipeline.fetch import fetch_stage, fetched_path
@@ -31,12 +29,14 @@ from fourd.pipeline.stored.cache import cache_folder
 from fourd.pipeline.stored.rate import rate_stage
 from fourd.pipeline.stored.results import StoredResults
 from fourd.pipeline.work_folder import RUN
-from fourd.processes import locked_folder
-from fourd.storage import Location, StorageUrl, check_writable, upload_changed
-from fourd.training.cameras.selection import with_test_split
-from fourd.training.config import TrainConfig
-from fourd.training.run import Run
-from fourd.training.run_layout import CONFIG_NAME, PREPARATION, SOURCE
+from fourd.reconstruction.training.cameras.selection import with_test_split
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.reconstruction.training.run import Run
+from fourd.reconstruction.training.run_layout import CONFIG_NAME, PREPARATION, SOURCE
+from fourd.recording.capture.frame_rate import set_rate
+from fourd.recording.capture.layout import DERIVED, MATTES
+from fourd.recording.importing.importer import ImportOptions
+from fourd.recording.matting.sequence import MatteSettings, chosen_method, forget_choice
 
 RECORD = "stages.json"
 CAPTURE = "capture"
@@ -108,13 +108,14 @@ def make_scene(
     replace a trained run, it is kept as ``run.1`` and so on; if ``work`` is a URL, this is an error.
 
     Args:
-        source: a capture, or any source that :mod:`fourd.importing` can read. A URL is copied to ``work/source/``.
+        source: a capture, or any source that :mod:`fourd.recording.importing` can read. A URL is copied to
+            ``work/source/``.
         out: the .4dv file to write. If it is a URL, the file is written in ``work`` and then uploaded.
         train: the training config.
         mattes: settings of the mattes. Mattes are made only if the capture has no masks.
         context: console, and number of processes.
         points_from: folder with the user's points as FRAME.ply files, which replace the carved points.
-        lpips_weights: the weights of LPIPS; see :func:`~fourd.training.losses.lpips.load_lpips`.
+        lpips_weights: the weights of LPIPS; see :func:`~fourd.reconstruction.training.losses.lpips.load_lpips`.
         imports: options of the import. If ``source`` is a capture, their frame rate, if any, is stored in it.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
         keep_chosen_mattes: whether to keep mattes whose method the user chose with ``fourd matte``.

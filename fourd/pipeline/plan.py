@@ -9,17 +9,17 @@ from pathlib import Path
 
 import av
 
-from fourd.capture.decoding import picture_size
-from fourd.capture.layout import parse_frame_range
-from fourd.capture.streams.container import frame_count, open_container, video_stream
-from fourd.errors import UserError
-from fourd.importing.detection import pick_format
-from fourd.importing.imported import EncodedPictures, Frames, Imported, PictureFiles, VideoFile
+from fourd.base.errors import UserError
 from fourd.pipeline.capture_graph import has_masks, is_usable
 from fourd.pipeline.stages.cameras.colours import FRAMES as COLOUR_FRAMES
 from fourd.pipeline.stages.cameras.colours import measures_colours
-from fourd.training.config import TrainConfig
-from fourd.training.segments.plan import SegmentPlan
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.reconstruction.training.segments.plan import SegmentPlan
+from fourd.recording.capture.decoding import picture_size
+from fourd.recording.capture.layout import parse_frame_range
+from fourd.recording.capture.streams.container import frame_count, open_container, video_stream
+from fourd.recording.importing.detection import pick_format
+from fourd.recording.importing.imported import EncodedPictures, Frames, Imported, PictureFiles, VideoFile
 
 IMPORT_S_PER_MP = 1.2
 """Seconds to index, sample and match one megapixel of the sampled images. Measured: 32 s for 3 frames of 8.3
@@ -34,7 +34,8 @@ BACKGROUND_S = 170.0
 TRAIN_S_PER_STEP = 0.3
 """Seconds per training step. Measured: 821 steps in 246 s with 20,000 points on 2 cores."""
 SAMPLED_FRAMES = 3
-"""Number of frames of each camera in which an import matches features; see :mod:`fourd.importing.importer`."""
+"""Number of frames of each camera in which an import matches features; see
+:mod:`fourd.recording.importing.importer`."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ def describe_plan(source: Path, train: TrainConfig, workers: int, has_points: bo
     """Return one line of text with the stages from ``source`` to a scene and their expected durations.
 
     Args:
-        source: a capture, or a source that :mod:`fourd.importing` can read.
+        source: a capture, or a source that :mod:`fourd.recording.importing` can read.
         train: the training config.
         workers: number of processes.
         has_points: whether the user provides the initial points.

@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from fourd.files import write_text_atomically
-from fourd.limits import read_json
+from fourd.base.files import write_text_atomically
+from fourd.base.limits import read_json
 from fourd.pipeline.stage import StageState
 
 VERSION = 2

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fourd.base.storage import Location
 from fourd.pipeline.stage import Context, Stage
 from fourd.pipeline.work_folder import WorkFolder
-from fourd.storage import Location
 
 if TYPE_CHECKING:
     # StoredResults is imported only for type checkers, because it imports the packages for training, and the runner

@@ -15,19 +15,19 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from fourd.carving.sequence import BOUNDS_NAME
-from fourd.configs import save_config
-from fourd.files import atomic_path
+from fourd.base.configs import save_config
+from fourd.base.files import atomic_path
+from fourd.base.processes import locked_folder
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stage import Context, Leftovers, Stage
 from fourd.pipeline.stages.train import PREPARED_BY, TrainFiles, start_run, train_run
-from fourd.processes import locked_folder
-from fourd.training.cameras.selection import DataSelection, open_run_views
-from fourd.training.checkpoints import latest_checkpoint
-from fourd.training.config import SegmentConfig, TrainConfig
-from fourd.training.distributed.process_group import ALONE
-from fourd.training.run import Run, RunConfig, open_run, remove_leftovers
-from fourd.training.run_layout import (
+from fourd.reconstruction.carving.sequence import BOUNDS_NAME
+from fourd.reconstruction.training.cameras.selection import DataSelection, open_run_views
+from fourd.reconstruction.training.checkpoints import latest_checkpoint
+from fourd.reconstruction.training.config import SegmentConfig, TrainConfig
+from fourd.reconstruction.training.distributed.process_group import ALONE
+from fourd.reconstruction.training.run import Run, RunConfig, open_run, remove_leftovers
+from fourd.reconstruction.training.run_layout import (
     CHECKPOINTS,
     CONFIG_NAME,
     HULL,
@@ -36,8 +36,8 @@ from fourd.training.run_layout import (
     segment_folder,
     segment_folders,
 )
-from fourd.training.segments.plan import SegmentPlan, frame_range
-from fourd.training.segments.warm_start import write_warm_start
+from fourd.reconstruction.training.segments.plan import SegmentPlan, frame_range
+from fourd.reconstruction.training.segments.warm_start import write_warm_start
 
 DIVIDE = "segments"
 """Name of the stage that divides a run into segments."""

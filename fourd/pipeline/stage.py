@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from rich.console import Console
 
-from fourd.files import resolved
-from fourd.progress import Log, Terminal, Track, Tracker, console_log
+from fourd.base.files import resolved
+from fourd.base.progress import Log, Terminal, Track, Tracker, console_log
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-    from fourd.ops.gpu import DeviceName
-    from fourd.training.distributed.process_group import ProcessGroup
+    from fourd.reconstruction.training.distributed.process_group import ProcessGroup
+    from fourd.rendering.ops.gpu import DeviceName
 
 Files = TypeVar("Files", bound="DataclassInstance")
 Settings = TypeVar("Settings", bound="DataclassInstance")

@@ -8,12 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from fourd.capture import Capture, open_capture
-from fourd.capture.layout import MATTES, sample_indices
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.base.progress import Log
 from fourd.pipeline.capture_graph import has_masks
-from fourd.progress import Log
-from fourd.training.config import TrainConfig
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.recording.capture import Capture, open_capture
+from fourd.recording.capture.layout import MATTES, sample_indices
 
 SAMPLED_FRAMES = 5
 WIDTH_PX = 320

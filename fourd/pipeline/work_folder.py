@@ -12,8 +12,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fourd.errors import UserError
-from fourd.files import resolved
+from fourd.base.errors import UserError
+from fourd.base.files import resolved
+from fourd.base.progress import Log
+from fourd.base.storage import Location
 from fourd.pipeline.kept import (
     Trained,
     bring_back,
@@ -29,9 +31,7 @@ from fourd.pipeline.kept import (
 )
 from fourd.pipeline.record import Record, StageEntry, shown_changes
 from fourd.pipeline.stage import Leftovers, Stage, StageState
-from fourd.progress import Log
-from fourd.storage import Location
-from fourd.training.run_layout import PREPARATION
+from fourd.reconstruction.training.run_layout import PREPARATION
 
 AnyStage = Stage[Any, Any]
 RUN = "run"

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fourd.background.from_stereo import seed_from_stereo
-from fourd.background.plates import PlateView
-from fourd.cameras import look_at
-from fourd.errors import UserError
-from fourd.formats.ply import ColouredPoints
-from fourd.progress import untracked
-from fourd.stereo.depth_maps import StereoResult, reconstruct_surfaces
-from fourd.stereo.sparse import triangulate_sparse
+from fourd.base.cameras import look_at
+from fourd.base.errors import UserError
+from fourd.base.formats.ply import ColouredPoints
+from fourd.base.progress import untracked
+from fourd.reconstruction.background.from_stereo import seed_from_stereo
+from fourd.reconstruction.background.plates import PlateView
+from fourd.recording.stereo.depth_maps import StereoResult, reconstruct_surfaces
+from fourd.recording.stereo.sparse import triangulate_sparse
 from tests.calibration.rooms import HALF_WIDTH, HEIGHT, Room, room_cameras
 
 HOLE = ((0.7, 1.5), (0.5, 1.3))

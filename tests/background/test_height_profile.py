@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from fourd.background.height_profile import MIN_SECTORS, SECTORS, height_profile
-from fourd.background.shell import build_shell
-from fourd.formats.ply import ColouredPoints
-from fourd.stereo.directions import DirectionGrid, direction_grid
+from fourd.base.formats.ply import ColouredPoints
+from fourd.reconstruction.background.height_profile import MIN_SECTORS, SECTORS, height_profile
+from fourd.reconstruction.background.shell import build_shell
+from fourd.recording.stereo.directions import DirectionGrid, direction_grid
 from tests.captures import ring_cameras
 
 CENTRE = np.array([0.2, 0.1, -0.3])

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fourd.background.holes import fill_holes, measure_coverage
-from fourd.background.plates import PlateView
-from fourd.formats.ply import ColouredPoints
+from fourd.base.formats.ply import ColouredPoints
+from fourd.reconstruction.background.holes import fill_holes, measure_coverage
+from fourd.reconstruction.background.plates import PlateView
 from tests.calibration.rooms import Room, room_cameras, room_depth
 
 NEAR = 0.1

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.background.plate_changes import find_changing_backgrounds
-from fourd.background.plates import PlateView
-from fourd.capture import open_capture
+from fourd.reconstruction.background.plate_changes import find_changing_backgrounds
+from fourd.reconstruction.background.plates import PlateView
+from fourd.recording.capture import open_capture
 
 
 def plate_views(path: Path) -> list[PlateView]:

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.background.plates import read_plates
-from fourd.capture import Capture, open_capture, read_calibration, write_calibration
-from fourd.errors import UserError
-from fourd.matting.plates import FOLDER, Plate, write_plate
+from fourd.base.errors import UserError
+from fourd.reconstruction.background.plates import read_plates
+from fourd.recording.capture import Capture, open_capture, read_calibration, write_calibration
+from fourd.recording.matting.plates import FOLDER, Plate, write_plate
 
 SIZE = 64
 LENS = np.array([-0.25, 0.08, 0.002, -0.001])
@@ -31,7 +31,7 @@ def stage(rng: np.random.Generator) -> np.ndarray:
 
 
 def make_plate(folder: Path, name: str, rgb: np.ndarray, seen: np.ndarray | None = None) -> None:
-    """Write a plate in the format of fourd.matting."""
+    """Write a plate in the format of fourd.recording.matting."""
     write_plate(folder / FOLDER / f"{name}.png", Plate(rgb, np.ones(rgb.shape[:2], bool) if seen is None else seen))
 
 

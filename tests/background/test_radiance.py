@@ -8,25 +8,29 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.background.contraction import Contraction, contraction_around
-from fourd.background.plates import PlateView
-from fourd.background.radiance.config import RadianceConfig
-from fourd.background.radiance.depths import add_field_depths, median_inverse_depths
-from fourd.background.radiance.field import RadianceField, bounded_exp
-from fourd.background.radiance.from_radiance import seed_from_radiance
-from fourd.background.radiance.occupancy import OccupancyGrid
-from fourd.background.radiance.optimization import OptimizedField, optimize_field
-from fourd.background.radiance.pixels import Pixels
-from fourd.background.radiance.rays import MAX_NEAR, NEAR, RayRange, Rays, camera_rays, resample_edges
-from fourd.background.radiance.room_depth import Room as RoomShape
-from fourd.background.radiance.volume_rendering import distortion_loss, rendering_weights, weight_quantile
-from fourd.cameras import Camera
-from fourd.capture.focus import viewing_centre
-from fourd.errors import UserError
-from fourd.progress import untracked
-from fourd.stereo.depth_maps import ReducedPlate, StereoResult, reconstruct_surfaces
-from fourd.stereo.fusion import Surface
-from fourd.stereo.patchmatch import DepthMap
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
+from fourd.base.progress import untracked
+from fourd.reconstruction.background.contraction import Contraction, contraction_around
+from fourd.reconstruction.background.plates import PlateView
+from fourd.reconstruction.background.radiance.config import RadianceConfig
+from fourd.reconstruction.background.radiance.depths import add_field_depths, median_inverse_depths
+from fourd.reconstruction.background.radiance.field import RadianceField, bounded_exp
+from fourd.reconstruction.background.radiance.from_radiance import seed_from_radiance
+from fourd.reconstruction.background.radiance.occupancy import OccupancyGrid
+from fourd.reconstruction.background.radiance.optimization import OptimizedField, optimize_field
+from fourd.reconstruction.background.radiance.pixels import Pixels
+from fourd.reconstruction.background.radiance.rays import MAX_NEAR, NEAR, RayRange, Rays, camera_rays, resample_edges
+from fourd.reconstruction.background.radiance.room_depth import Room as RoomShape
+from fourd.reconstruction.background.radiance.volume_rendering import (
+    distortion_loss,
+    rendering_weights,
+    weight_quantile,
+)
+from fourd.recording.capture.focus import viewing_centre
+from fourd.recording.stereo.depth_maps import ReducedPlate, StereoResult, reconstruct_surfaces
+from fourd.recording.stereo.fusion import Surface
+from fourd.recording.stereo.patchmatch import DepthMap
 from tests.calibration.rooms import Room, room_cameras, room_depth
 
 SMALL = RadianceConfig(
@@ -333,7 +337,7 @@ def test_the_field_is_fitted_from_the_near_plane(reduced: list[ReducedPlate], mo
         spans.append(pixels.span)
         raise _Stop
 
-    monkeypatch.setattr("fourd.background.radiance.from_radiance.optimize_field", record)
+    monkeypatch.setattr("fourd.reconstruction.background.radiance.from_radiance.optimize_field", record)
     radius = space_of(reduced).radius
     stereo = StereoResult(20, 20, reduced, [true_surface(plate) for plate in reduced])
     for near in (None, 0.2 * radius):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fourd.background.shell import build_shell
-from fourd.formats.ply import ColouredPoints
+from fourd.base.formats.ply import ColouredPoints
+from fourd.reconstruction.background.shell import build_shell
 from tests.captures import ring_cameras, sphere
 
 CENTRE = np.array([0.3, -0.2, 0.1])

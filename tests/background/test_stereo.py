@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from fourd.background.surfaces.completion import complete_surfaces
-from fourd.background.surfaces.enclosing_planes import EnclosingPlanes
-from fourd.background.surfaces.guidance import complete_with_guidance
-from fourd.background.surfaces.surface_sampling import sample_surfaces
-from fourd.cameras import Camera, look_at
-from fourd.stereo.fusion import Surface, fuse_depth_maps
-from fourd.stereo.patches import GreyView, Grid, PatchSimilarity, index_intrinsics
-from fourd.stereo.patchmatch import DepthMap
-from fourd.stereo.plane_hypotheses import find_large_planes, plane_in_view, triangle_planes
-from fourd.stereo.source_selection import select_sources
+from fourd.base.cameras import Camera, look_at
+from fourd.reconstruction.background.surfaces.completion import complete_surfaces
+from fourd.reconstruction.background.surfaces.enclosing_planes import EnclosingPlanes
+from fourd.reconstruction.background.surfaces.guidance import complete_with_guidance
+from fourd.reconstruction.background.surfaces.surface_sampling import sample_surfaces
+from fourd.recording.stereo.fusion import Surface, fuse_depth_maps
+from fourd.recording.stereo.patches import GreyView, Grid, PatchSimilarity, index_intrinsics
+from fourd.recording.stereo.patchmatch import DepthMap
+from fourd.recording.stereo.plane_hypotheses import find_large_planes, plane_in_view, triangle_planes
+from fourd.recording.stereo.source_selection import select_sources
 
 WIDTH, HEIGHT = 96, 72
 FLOOR = np.array([0.0, 0.0, 1.0, 0.0])

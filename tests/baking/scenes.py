@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking import BakedFrame, SceneManifest, SceneReader, SceneWriter
-from fourd.cameras import Camera, look_at
+from fourd.base.cameras import Camera, look_at
+from fourd.scene import BakedFrame, SceneManifest, SceneReader, SceneWriter
 
 NEAR_IN_BALL = 2.4
 """A near plane that, from the cameras of :func:`ring`, cuts the ball of :func:`random_frame`. Most points fade."""

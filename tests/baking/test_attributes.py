@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-import fourd.baking.manifest
-import fourd.baking.scene
-from fourd.baking import BakedFrame, SceneReader, SceneWriter, combine_frames, open_scene
-from fourd.baking.attributes import ATTRIBUTES, Attribute
-from fourd.baking.player import Player
-from fourd.errors import UserError
+import fourd.scene.manifest
+import fourd.scene.scene
+from fourd.base.errors import UserError
+from fourd.scene import BakedFrame, SceneReader, SceneWriter, combine_frames, open_scene
+from fourd.scene.attributes import ATTRIBUTES, Attribute
+from fourd.scene.player import Player
 from tests.baking.scenes import full_manifest, manifest, random_frame, room_frame, write_full_scene, write_scene
 from tests.baking.test_container import rewritten, with_manifest
 
@@ -55,13 +55,13 @@ def test_unknown_attributes_are_skipped(tmp_path: Path, write: Callable[[Path], 
 def optional_sh(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the attribute "sh" optional for a test."""
     table = tuple(replace(item, is_optional=item.is_optional or item.name == "sh") for item in ATTRIBUTES)
-    monkeypatch.setattr(fourd.baking.scene, "ATTRIBUTES", table)
-    monkeypatch.setattr(fourd.baking.manifest, "ATTRIBUTES", table)
+    monkeypatch.setattr(fourd.scene.scene, "ATTRIBUTES", table)
+    monkeypatch.setattr(fourd.scene.manifest, "ATTRIBUTES", table)
 
 
 def without_sh(frame: BakedFrame) -> BakedFrame:
     arrays = {name: array for name, array in frame.arrays.items() if name != "sh"}
-    return fourd.baking.scene.make_frame(arrays)
+    return fourd.scene.scene.make_frame(arrays)
 
 
 @pytest.mark.usefixtures("optional_sh")

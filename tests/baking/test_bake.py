@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.baking import open_scene
-from fourd.baking.bake import bake_run
-from fourd.model.appearance import MIN_VISIBILITY
-from fourd.model.sources import OCCLUSION_FALLOFF_SPACINGS
-from fourd.training.run import TrainedRun, load_run
+from fourd.reconstruction.model.appearance import MIN_VISIBILITY
+from fourd.reconstruction.model.sources import OCCLUSION_FALLOFF_SPACINGS
+from fourd.reconstruction.training.run import TrainedRun, load_run
+from fourd.scene import open_scene
+from fourd.scene.bake import bake_run
 from tests.training.small import SMALL, full_config, quiet, trained_run, with_steps
 
 BALL_RADIUS = 0.4

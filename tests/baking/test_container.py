@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.baking import BakedFrame, SceneManifest, SceneReader, SceneWriter
-from fourd.cameras import Camera
-from fourd.errors import UserError
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
+from fourd.scene import BakedFrame, SceneManifest, SceneReader, SceneWriter
 from tests.baking.scenes import manifest, random_frame, write_scene
 
 VERSION_1 = Path(__file__).with_name("data") / "version1.4dv"

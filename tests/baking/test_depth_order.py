@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fourd.baking import BakedFrame
-from fourd.baking.depth_order import DepthSorter
-from fourd.cameras import Camera
-from fourd.ops.loading import load_native
-from fourd.ops.play.reference import sort_points_reference
+from fourd.base.cameras import Camera
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.ops.play.reference import sort_points_reference
+from fourd.scene import BakedFrame
+from fourd.scene.depth_order import DepthSorter
 from tests.baking.scenes import random_frame, ring
 
 NEAR = 0.5

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.baking import BakedFrame, SceneBackground, SceneReader, SceneWriter, combine_frames, open_scene
-from fourd.baking.attributes import ATTRIBUTES
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.scene import BakedFrame, SceneBackground, SceneReader, SceneWriter, combine_frames, open_scene
+from fourd.scene.attributes import ATTRIBUTES
 from tests.baking.scenes import full_manifest, manifest, random_frame, room_frame, write_full_scene, write_scene
 from tests.baking.test_container import rewritten, with_manifest
 

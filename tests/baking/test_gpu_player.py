@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.baking import SceneReader
-from fourd.baking.gpu_player import GpuFrame, GpuPlayer
-from fourd.baking.shade import shade_reference
+from fourd.scene import SceneReader
+from fourd.scene.gpu_player import GpuFrame, GpuPlayer
+from fourd.scene.shade import shade_reference
 from tests.baking.scenes import NEAR_IN_BALL, manifest, random_frame, ring, write_full_scene
 from tests.baking.test_player import draw_reference
 

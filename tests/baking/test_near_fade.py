@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.baking.player import Player
-from fourd.baking.rendering import render_frame
-from fourd.baking.scene import BakedFrame
-from fourd.baking.shade import shade
-from fourd.cameras import Camera
-from fourd.ops.loading import load_native
-from fourd.ops.play.near_fade import fade_near
-from fourd.ops.points.arrays import render_points_numpy
+from fourd.base.cameras import Camera
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.ops.play.near_fade import fade_near
+from fourd.rendering.ops.points.arrays import render_points_numpy
+from fourd.scene.player import Player
+from fourd.scene.rendering import render_frame
+from fourd.scene.scene import BakedFrame
+from fourd.scene.shade import shade
 from tests.baking.scenes import NEAR_IN_BALL, manifest, random_frame, ring
 from tests.baking.test_player import draw_reference
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.baking.player import Player
-from fourd.baking.scene import BakedFrame, SceneManifest, make_frame
-from fourd.baking.shade import make_shading
-from fourd.cameras import Camera
-from fourd.ops.loading import load_native
-from fourd.ops.pixel_filter.op import filter_pixels
-from fourd.ops.pixel_filter.reference import filter_pixels_reference
-from fourd.ops.play.reference import draw_points_reference
+from fourd.base.cameras import Camera
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.ops.pixel_filter.op import filter_pixels
+from fourd.rendering.ops.pixel_filter.reference import filter_pixels_reference
+from fourd.rendering.ops.play.reference import draw_points_reference
+from fourd.scene.player import Player
+from fourd.scene.scene import BakedFrame, SceneManifest, make_frame
+from fourd.scene.shade import make_shading
 from tests.baking.scenes import manifest, random_frame, ring
 
 BLACK = (0.0, 0.0, 0.0)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.baking.shade import select_source_views, shade, shade_reference
-from fourd.model import spherical_harmonics
-from fourd.ops.shade.reference import sh_basis
+from fourd.reconstruction.model import spherical_harmonics
+from fourd.rendering.ops.shade.reference import sh_basis
+from fourd.scene.shade import select_source_views, shade, shade_reference
 from tests.baking.scenes import manifest, random_frame, ring
 
 

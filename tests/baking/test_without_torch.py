@@ -12,10 +12,10 @@ PROGRAM = """
 import sys
 
 import fourd
-import fourd.raster
-from fourd.baking import open_scene
-from fourd.baking.depth_order import DepthSorter
-from fourd.baking.player import Player
+import fourd.rendering
+from fourd.scene import open_scene
+from fourd.scene.depth_order import DepthSorter
+from fourd.scene.player import Player
 
 with open_scene(sys.argv[1]) as scene:
     camera, frame = scene.manifest.cameras[0], scene.frame(0)

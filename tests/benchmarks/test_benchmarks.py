@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.baking.player import Player
 from fourd.benchmarks.cases import composite
 from fourd.benchmarks.machine import this_machine
 from fourd.benchmarks.meshes import antialiasing, interpolating, make_mesh, project, rasterizing
@@ -19,8 +18,9 @@ from fourd.benchmarks.textures import make_textured_plane, trilinear_texture
 from fourd.benchmarks.timing import Clock, Timing
 from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud, make_planes
 from fourd.cli.main import main
-from fourd.ops.planes.op import sample_planes
-from fourd.raster.triangles import rasterize
+from fourd.rendering.ops.planes.op import sample_planes
+from fourd.rendering.triangles import rasterize
+from fourd.scene.player import Player
 
 
 def test_points_cover_the_middle_of_the_picture() -> None:

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fourd.board_calibration.adjustment.rig import Corners, Poses, RigState, project
-from fourd.board_calibration.detection import BoardView
-from fourd.board_calibration.fit import RigInput
-from fourd.cameras import Camera
-from fourd.synth.board_videos import BoardSettings, board_pose, rig_cameras
+from fourd.base.cameras import Camera
+from fourd.recording.board_calibration.adjustment.rig import Corners, Poses, RigState, project
+from fourd.recording.board_calibration.detection import BoardView
+from fourd.recording.board_calibration.fit import RigInput
+from fourd.recording.synth.board_videos import BoardSettings, board_pose, rig_cameras
 
 
 @dataclass(frozen=True)

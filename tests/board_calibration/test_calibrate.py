@@ -11,16 +11,16 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.board_calibration.adjustment.rig import Poses, RigState, project
-from fourd.board_calibration.detection import BoardDetector
-from fourd.board_calibration.diagnosis import suggest_fix
-from fourd.boards import CalibrationBoard, draw_board, write_board
-from fourd.cameras import Camera
-from fourd.capture.calibration import read_calibration
+from fourd.base.cameras import Camera
+from fourd.base.progress import untracked
 from fourd.cli.main import main
-from fourd.progress import untracked
-from fourd.synth.board_render import BoardPose, BoardRenderer, Optics
-from fourd.synth.board_videos import BOARD, BoardSettings, board_pose, make_board_videos, rig_cameras
+from fourd.recording.board_calibration.adjustment.rig import Poses, RigState, project
+from fourd.recording.board_calibration.detection import BoardDetector
+from fourd.recording.board_calibration.diagnosis import suggest_fix
+from fourd.recording.boards import CalibrationBoard, draw_board, write_board
+from fourd.recording.capture.calibration import read_calibration
+from fourd.recording.synth.board_render import BoardPose, BoardRenderer, Optics
+from fourd.recording.synth.board_videos import BOARD, BoardSettings, board_pose, make_board_videos, rig_cameras
 from tests.board_calibration.rigs import flat_corners, largest_differences
 from tests.capture.numbered_videos import write_numbered_video
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.capture.calibration import Calibration, read_calibration
 from fourd.cli.main import main
+from fourd.recording.capture.calibration import Calibration, read_calibration
 
 RIG = Path(__file__).parents[2].parent / "shared" / "captures" / "charuco_rig"
 LENSES = RIG / "truth" / "camera_array.toml"

@@ -9,8 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fourd.board_calibration.adjustment import solver
-from fourd.board_calibration.adjustment.rig import (
+from fourd.base.errors import UserError
+from fourd.base.progress import untracked
+from fourd.recording.board_calibration.adjustment import solver
+from fourd.recording.board_calibration.adjustment.rig import (
     PARAMETERS,
     BoardShape,
     Poses,
@@ -19,14 +21,12 @@ from fourd.board_calibration.adjustment.rig import (
     collect_corners,
     project,
 )
-from fourd.board_calibration.adjustment.system import Free
-from fourd.board_calibration.detection import BoardView
-from fourd.board_calibration.fit import choose_held_out, fit_rig
-from fourd.board_calibration.report import coverage, report_cameras, time_lines
-from fourd.boards import CalibrationBoard
-from fourd.errors import UserError
-from fourd.progress import untracked
-from fourd.synth.board_videos import BoardSettings, board_pose
+from fourd.recording.board_calibration.adjustment.system import Free
+from fourd.recording.board_calibration.detection import BoardView
+from fourd.recording.board_calibration.fit import choose_held_out, fit_rig
+from fourd.recording.board_calibration.report import coverage, report_cameras, time_lines
+from fourd.recording.boards import CalibrationBoard
+from fourd.recording.synth.board_videos import BoardSettings, board_pose
 from tests.board_calibration.rigs import Filming, largest_differences, rig_input, seen_views
 
 SETTINGS = BoardSettings(frames=40, cameras=3)

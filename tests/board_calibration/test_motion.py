@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fourd.board_calibration.adjustment.motion import board_motion
-from fourd.board_calibration.adjustment.rig import Poses
+from fourd.recording.board_calibration.adjustment.motion import board_motion
+from fourd.recording.board_calibration.adjustment.rig import Poses
 
 
 def poses(times: np.ndarray) -> Poses:

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.board_calibration.detection import BoardDetector
-from fourd.boards import CalibrationBoard, write_board
 from fourd.cli.main import main
+from fourd.recording.board_calibration.detection import BoardDetector
+from fourd.recording.boards import CalibrationBoard, write_board
 
 BOARD = CalibrationBoard(5, 7, 0.03, 0.0225, "DICT_4X4_50")
 MM_PER_POINT = 25.4 / 72

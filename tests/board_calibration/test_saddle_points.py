@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from fourd.board_calibration.adjustment.rig import Poses, RigState, project
-from fourd.board_calibration.detection import BoardDetector
-from fourd.board_calibration.saddle_points import refine_corners
-from fourd.boards import draw_board
-from fourd.synth.board_render import BoardRenderer
-from fourd.synth.board_videos import BoardSettings, board_pose, rig_cameras
+from fourd.recording.board_calibration.adjustment.rig import Poses, RigState, project
+from fourd.recording.board_calibration.detection import BoardDetector
+from fourd.recording.board_calibration.saddle_points import refine_corners
+from fourd.recording.boards import draw_board
+from fourd.recording.synth.board_render import BoardRenderer
+from fourd.recording.synth.board_videos import BoardSettings, board_pose, rig_cameras
 from tests.board_calibration.rigs import flat_corners
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.bundle_adjustment.adjust import adjust_cameras, adjust_to_matches
-from fourd.bundle_adjustment.solver import Prior
-from fourd.bundle_adjustment.tracks import FrameMatches
-from fourd.calibration.perturbation import perturb_cameras, pose_errors
-from fourd.cameras import Camera
-from fourd.progress import untracked
-from fourd.stereo.features import Features
+from fourd.base.cameras import Camera
+from fourd.base.progress import untracked
+from fourd.recording.calibration.adjustment.adjust import adjust_cameras, adjust_to_matches
+from fourd.recording.calibration.adjustment.solver import Prior
+from fourd.recording.calibration.adjustment.tracks import FrameMatches
+from fourd.recording.calibration.perturbation import perturb_cameras, pose_errors
+from fourd.recording.stereo.features import Features
 from tests.calibration.rooms import Room, room_cameras
 from tests.captures import ring_cameras
 

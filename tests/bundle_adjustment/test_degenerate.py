@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from fourd.bundle_adjustment.repair import repair_cameras
-from fourd.bundle_adjustment.tracks import Observations, triangulate_points
-from fourd.calibration.matching import Matches
-from fourd.calibration.residuals import Pair
-from fourd.cameras import Camera
+from fourd.base.cameras import Camera
+from fourd.recording.calibration.adjustment.repair import repair_cameras
+from fourd.recording.calibration.adjustment.tracks import Observations, triangulate_points
+from fourd.recording.calibration.matching import Matches
+from fourd.recording.calibration.residuals import Pair
 from tests.captures import ring_cameras
 
 

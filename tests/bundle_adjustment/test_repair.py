@@ -8,11 +8,11 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from fourd.bundle_adjustment.repair import repair_cameras, split_matches
-from fourd.calibration.matching import Matches, distort_points
-from fourd.calibration.perturbation import perturb_cameras
-from fourd.calibration.principal_points import choose_principal_points, principal_point_hypotheses
-from fourd.cameras import Camera
+from fourd.base.cameras import Camera
+from fourd.recording.calibration.adjustment.repair import repair_cameras, split_matches
+from fourd.recording.calibration.matching import Matches, distort_points
+from fourd.recording.calibration.perturbation import perturb_cameras
+from fourd.recording.calibration.principal_points import choose_principal_points, principal_point_hypotheses
 from tests.captures import ring_cameras
 
 LENS = np.array([-0.12, 0.03, 0.001, -0.001, 0.0])

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fourd.calibration.colours import ColourMatches, concatenate, measure_colours, sample_colours
-from fourd.calibration.matching import Matches
+from fourd.recording.calibration.colours import ColourMatches, concatenate, measure_colours, sample_colours
+from fourd.recording.calibration.matching import Matches
 
 CAMERAS = 6
 TRAINING = [0, 1, 2, 3, 4]

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.calibration.image_sizes import Borders, choose_size, measure_black_borders, size_hypotheses
-from fourd.calibration.matching import Matches, distort_points
-from fourd.calibration.plane_matching import PlanePatch, match_on_plane
-from fourd.calibration.principal_points import choose_principal_points, principal_point_hypotheses
-from fourd.calibration.residuals import Pair, epipolar_distances
-from fourd.cameras import Camera
-from fourd.importing.formats.qualisys import read_cameras
+from fourd.base.cameras import Camera
+from fourd.recording.calibration.image_sizes import Borders, choose_size, measure_black_borders, size_hypotheses
+from fourd.recording.calibration.matching import Matches, distort_points
+from fourd.recording.calibration.plane_matching import PlanePatch, match_on_plane
+from fourd.recording.calibration.principal_points import choose_principal_points, principal_point_hypotheses
+from fourd.recording.calibration.residuals import Pair, epipolar_distances
+from fourd.recording.importing.formats.qualisys import read_cameras
 from tests.calibration.rooms import Room, room_cameras
 
 BALANCE = Path(__file__).parents[2].parent / "shared" / "captures" / "balance"

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fourd.calibration.plane_matching import PlanePatch, match_on_plane
+from fourd.recording.calibration.plane_matching import PlanePatch, match_on_plane
 from tests.captures import ring_cameras
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.calibration.matching import (
+from fourd.base.cameras import Camera
+from fourd.recording.calibration.matching import (
     Matches,
     distort_points,
     extract_features,
@@ -18,7 +19,7 @@ from fourd.calibration.matching import (
     match_positions,
     undistort_points,
 )
-from fourd.calibration.residuals import (
+from fourd.recording.calibration.residuals import (
     compute_residuals,
     epipolar_distances,
     epipolar_residuals,
@@ -26,8 +27,7 @@ from fourd.calibration.residuals import (
     match_pairs,
     select_pairs,
 )
-from fourd.cameras import Camera
-from fourd.capture import open_capture
+from fourd.recording.capture import open_capture
 from tests.calibration.rooms import Room, room_cameras
 from tests.captures import ring_cameras
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.calibration.chessboard import Board, board_pose
-from fourd.calibration.scale import Distance, align_cameras, scale_cameras
-from fourd.calibration.structure_from_motion import SelfCalibration, calibrate_from_pictures
-from fourd.cameras import Camera, look_at
-from fourd.errors import UserError
+from fourd.base.cameras import Camera, look_at
+from fourd.base.errors import UserError
+from fourd.recording.calibration.chessboard import Board, board_pose
+from fourd.recording.calibration.scale import Distance, align_cameras, scale_cameras
+from fourd.recording.calibration.structure_from_motion import SelfCalibration, calibrate_from_pictures
 from tests.calibration.rooms import Room, room_cameras
 
 Array = NDArray[np.float64]

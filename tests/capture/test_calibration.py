@@ -15,16 +15,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fourd.capture import open_capture
-from fourd.capture.calibration import (
+from fourd.base.errors import UserError
+from fourd.recording.capture import open_capture
+from fourd.recording.capture.calibration import (
     camera_name_problem,
     check_calibration,
     read_calibration,
     read_intrinsics,
     write_calibration,
 )
-from fourd.capture.check import check_capture
-from fourd.errors import UserError
+from fourd.recording.capture.check import check_capture
 from tests.captures import ring_cameras
 
 ORDINARY = (

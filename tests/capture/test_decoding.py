@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from PIL import EpsImagePlugin, Image
 
-from fourd.capture.check import check_capture
-from fourd.capture.decoding import decode_alpha, decode_matte, decode_rgb, decode_rgb_bytes, picture_size
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.recording.capture.check import check_capture
+from fourd.recording.capture.decoding import decode_alpha, decode_matte, decode_rgb, decode_rgb_bytes, picture_size
 from tests.captures import write_ball_capture
 
 DECODERS = (decode_rgb, decode_matte, decode_alpha, picture_size, lambda path: decode_rgb_bytes(path.read_bytes(), "x"))

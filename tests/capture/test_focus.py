@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fourd.cameras import Camera, look_at
-from fourd.capture import read_calibration, write_calibration
-from fourd.capture.focus import describe_inverted
-from fourd.errors import UserError
+from fourd.base.cameras import Camera, look_at
+from fourd.base.errors import UserError
+from fourd.recording.capture import read_calibration, write_calibration
+from fourd.recording.capture.focus import describe_inverted
 from tests.captures import ring_cameras
 
 K = np.array([[70.0, 0, 32], [0, 70, 32], [0, 0, 1]])

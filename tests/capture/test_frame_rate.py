@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from fourd.baking import SceneReader
-from fourd.baking.bake import bake_run
-from fourd.baking.playable import open_playable, select_frames, selected_rate
-from fourd.capture import open_capture
-from fourd.capture.check import check_capture
-from fourd.capture.frame_rate import NAME, read_rate, set_rate, standard_rate, write_rate
+from fourd.base.errors import UserError
 from fourd.cli.main import main
-from fourd.errors import UserError
-from fourd.training.run import load_run
+from fourd.reconstruction.training.run import load_run
+from fourd.recording.capture import open_capture
+from fourd.recording.capture.check import check_capture
+from fourd.recording.capture.frame_rate import NAME, read_rate, set_rate, standard_rate, write_rate
+from fourd.scene import SceneReader
+from fourd.scene.bake import bake_run
+from fourd.scene.playable import open_playable, select_frames, selected_rate
 from tests.capture.numbered_videos import write_numbered_video
 from tests.training.small import SMALL, quiet, trained_run, with_steps
 

@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.cameras import Camera
-from fourd.capture import open_capture, read_calibration, write_calibration
-from fourd.capture.check import check_capture
-from fourd.capture.focus import find_focus
-from fourd.errors import UserError
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
+from fourd.recording.capture import open_capture, read_calibration, write_calibration
+from fourd.recording.capture.check import check_capture
+from fourd.recording.capture.focus import find_focus
 from tests.captures import ring_cameras
 
 BARREL = np.array([-0.25, 0.06, 0.002, -0.001, 0.01])

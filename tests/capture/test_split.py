@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from fourd.capture.layout import select_views
-from fourd.capture.split import read_test_views, write_test_views
-from fourd.errors import UserError
-from fourd.training.cameras.selection import with_test_split
-from fourd.training.config import TrainConfig
+from fourd.base.errors import UserError
+from fourd.reconstruction.training.cameras.selection import with_test_split
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.recording.capture.layout import select_views
+from fourd.recording.capture.split import read_test_views, write_test_views
 from tests.captures import write_ball_capture
 
 

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from fourd.capture import open_capture
-from fourd.capture.layout import refuse_symlinks
-from fourd.carving import carve_capture
-from fourd.errors import UserError
-from fourd.importing.detection import pick_format
-from fourd.importing.importer import ImportOptions, import_source
-from fourd.matting.plates import make_plates
-from fourd.matting.selection import Selection
-from fourd.matting.sequence import MatteSettings, make_mattes
-from fourd.progress import untracked
+from fourd.base.errors import UserError
+from fourd.base.progress import untracked
+from fourd.reconstruction.carving import carve_capture
+from fourd.recording.capture import open_capture
+from fourd.recording.capture.layout import refuse_symlinks
+from fourd.recording.importing.detection import pick_format
+from fourd.recording.importing.importer import ImportOptions, import_source
+from fourd.recording.matting.plates import make_plates
+from fourd.recording.matting.selection import Selection
+from fourd.recording.matting.sequence import MatteSettings, make_mattes
 from tests.importing.formats.sources import write_pictures
 
 

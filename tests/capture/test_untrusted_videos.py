@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from fourd.capture import open_capture, write_calibration
-from fourd.capture.video import index_video
-from fourd.capture.video_list import list_videos
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.recording.capture import open_capture, write_calibration
+from fourd.recording.capture.video import index_video
+from fourd.recording.capture.video_list import list_videos
 from tests.capture.numbered_videos import write_numbered_video, write_slow_video
 from tests.capture.test_video import assert_refused, write_listed_videos
 from tests.captures import ring_cameras

@@ -11,14 +11,22 @@ import av
 import numpy as np
 import pytest
 
-from fourd.capture.layout import find_videos
-from fourd.capture.streams.frames import FrameReader
-from fourd.capture.streams.matroska import HEADER, SEGMENT, missing_bytes
-from fourd.capture.video import VideoReader, index_video
-from fourd.capture.video_index import index_capture
-from fourd.capture.video_list import CACHE, NAME, Video, align_offsets, common_frames, list_videos, write_video_list
-from fourd.errors import UserError
-from fourd.progress import untracked
+from fourd.base.errors import UserError
+from fourd.base.progress import untracked
+from fourd.recording.capture.layout import find_videos
+from fourd.recording.capture.streams.frames import FrameReader
+from fourd.recording.capture.streams.matroska import HEADER, SEGMENT, missing_bytes
+from fourd.recording.capture.video import VideoReader, index_video
+from fourd.recording.capture.video_index import index_capture
+from fourd.recording.capture.video_list import (
+    CACHE,
+    NAME,
+    Video,
+    align_offsets,
+    common_frames,
+    list_videos,
+    write_video_list,
+)
 from tests.capture.numbered_videos import KEYFRAME_INTERVAL, number_of, write_numbered_video
 from tests.capture.phone_videos import write_display_matrix
 
@@ -222,7 +230,9 @@ def test_video_list_round_trip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     index."""
     before = write_listed_videos(tmp_path)
     again = "indexed again"
-    monkeypatch.setattr("fourd.capture.video_list.index_video", lambda path, _: pytest.fail(f"{path} was {again}"))
+    monkeypatch.setattr(
+        "fourd.recording.capture.video_list.index_video", lambda path, _: pytest.fail(f"{path} was {again}")
+    )
     again = list_videos(tmp_path)
     assert {name: video.index for name, video in again.items()} == {n: video.index for n, video in before.items()}
     assert common_frames(again) == 30
@@ -242,7 +252,7 @@ def test_capture_without_a_list_is_indexed_once(tmp_path: Path, monkeypatch: pyt
     index_capture(tmp_path, ["a"], untracked)
     indexed = []
     monkeypatch.setattr(
-        "fourd.capture.video_list.index_video", lambda path, _: (indexed.append(path), index_video(path))[1]
+        "fourd.recording.capture.video_list.index_video", lambda path, _: (indexed.append(path), index_video(path))[1]
     )
     index_capture(tmp_path, None, untracked)
     assert indexed == paths[1:]
@@ -282,7 +292,9 @@ def test_older_lists_are_indexed_again(tmp_path: Path, monkeypatch: pytest.Monke
     that are indexed again by each process that opens the capture."""
     write_old_list(tmp_path, {"width": 16, "height": 24, "scale": 0.5})
     index_capture(tmp_path, None, untracked)
-    monkeypatch.setattr("fourd.capture.video_list.index_video", lambda path, _: pytest.fail(f"{path} is read again"))
+    monkeypatch.setattr(
+        "fourd.recording.capture.video_list.index_video", lambda path, _: pytest.fail(f"{path} is read again")
+    )
     videos = list_videos(tmp_path)
     assert {name: (video.index.frames, video.offset) for name, video in videos.items()} == {
         "a": (40, 2.5),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.cameras import Camera
+from fourd.base.cameras import Camera
 from tests.captures import ring_cameras
 
 Picture = NDArray[np.uint8]

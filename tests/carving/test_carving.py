@@ -9,11 +9,19 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from fourd.carving import Bounds, carve_capture, carve_frame, colour_points, find_bounds, hull_bounds, sequence
-from fourd.carving.hull import Silhouettes
-from fourd.carving.surface import surface_cells
-from fourd.errors import UserError
-from fourd.formats.ply import read_ply
+from fourd.base.errors import UserError
+from fourd.base.formats.ply import read_ply
+from fourd.reconstruction.carving import (
+    Bounds,
+    carve_capture,
+    carve_frame,
+    colour_points,
+    find_bounds,
+    hull_bounds,
+    sequence,
+)
+from fourd.reconstruction.carving.hull import Silhouettes
+from fourd.reconstruction.carving.surface import surface_cells
 from tests.captures import ring_cameras
 from tests.carving.shapes import MemoryCapture, ball, mask, moving_ball
 

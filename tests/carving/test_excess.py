@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fourd.carving.bounds import Bounds
-from fourd.carving.carve import carve_frame
-from fourd.carving.excess import fill_hull, remove_excess
-from fourd.carving.hull import Silhouettes
+from fourd.reconstruction.carving.bounds import Bounds
+from fourd.reconstruction.carving.carve import carve_frame
+from fourd.reconstruction.carving.excess import fill_hull, remove_excess
+from fourd.reconstruction.carving.hull import Silhouettes
 from tests.captures import ring_cameras
 from tests.carving.shapes import ball, mask
 
@@ -58,7 +58,7 @@ def test_every_silhouette_is_still_covered(views: Silhouettes) -> None:
 
 def test_the_grid_is_limited(views: Silhouettes, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a grid that fills the memory for a small object in a large room."""
-    monkeypatch.setattr("fourd.carving.excess.MAX_GRID_CELLS", 100_000)
+    monkeypatch.setattr("fourd.reconstruction.carving.excess.MAX_GRID_CELLS", 100_000)
     hull = fill_hull(views, BOX.lower, BOX.upper, 0.001)
     assert hull.side > 0.01
     assert len(hull.cells) > 0

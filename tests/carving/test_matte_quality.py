@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.carving.coherence import frame_coherence
-from fourd.carving.matte_quality import MatteQuality, measure_mattes
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.reconstruction.carving.coherence import frame_coherence
+from fourd.reconstruction.carving.matte_quality import MatteQuality, measure_mattes
 from tests.captures import ring_cameras
 from tests.carving.shapes import MemoryCapture, ball, mask
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.carving.rig_evidence import MISTAKES, check_rig
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.reconstruction.carving.rig_evidence import MISTAKES, check_rig
 from tests.captures import ring_cameras
 from tests.carving.shapes import MemoryCapture, ball, mask
 

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from safetensors.torch import load_file
 
-from fourd.baking.bake import bake_run
 from fourd.cli.main import main
-from fourd.training.run import Run, load_run
+from fourd.reconstruction.training.run import Run, load_run
+from fourd.scene.bake import bake_run
 from tests.training.small import quiet, trained_run
 
 SMALL_MODEL = "model: {hidden: 16, planes: {levels: 2, features: 4, base_resolution: 16}}\npoints: 1500\n"

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.capture import read_calibration, write_calibration
 from fourd.cli.main import main
-from fourd.synth.generate import make_synthetic
+from fourd.recording.capture import read_calibration, write_calibration
+from fourd.recording.synth.generate import make_synthetic
 
 NAMES = ("00", "01", "02", "03", "04", "05")
 SIZE = 384

@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.baking import SceneReader, SceneWriter, open_scene
-from fourd.baking.scene import make_frame
-from fourd.capture import open_capture
+from fourd.base.formats.ply import write_ply
 from fourd.cli.main import main
-from fourd.formats.ply import write_ply
+from fourd.recording.capture import open_capture
+from fourd.scene import SceneReader, SceneWriter, open_scene
+from fourd.scene.scene import make_frame
 from tests.captures import sphere
 
 OVERLAY = """\

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import trimesh
 
-import fourd.triangle_fitting.frame as frame
+import fourd.reconstruction.meshes.triangle_fitting.frame as frame
 from fourd.cli.main import main
-from fourd.training.cameras.selection import DataSelection, open_run_views
-from fourd.triangle_fitting.frame import fit_frame
-from fourd.triangle_fitting.settings import TriangleSettings
+from fourd.reconstruction.meshes.triangle_fitting.frame import fit_frame
+from fourd.reconstruction.meshes.triangle_fitting.settings import TriangleSettings
+from fourd.reconstruction.training.cameras.selection import DataSelection, open_run_views
 
 SMALL = ["--triangles", "1500", "--cells", "24"]
 

@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.calibration.image_sizes import size_hypotheses
-from fourd.calibration.principal_points import principal_point_hypotheses
-from fourd.capture import open_capture, read_calibration, write_calibration
 from fourd.cli.main import main
+from fourd.recording.calibration.image_sizes import size_hypotheses
+from fourd.recording.calibration.principal_points import principal_point_hypotheses
+from fourd.recording.capture import open_capture, read_calibration, write_calibration
 from tests.calibration.rooms import Room, room_cameras
 from tests.importing.test_importer import write_source
 

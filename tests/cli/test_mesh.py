@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from fourd.base.formats.glb_mesh import read_glb_mesh
 from fourd.cli.main import main
-from fourd.formats.glb_mesh import read_glb_mesh
 
 SMALL = ["--cells", "24", "--steps", "12", "--texture-size", "128"]
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.baking import SceneReader, SceneWriter, open_scene
 from fourd.cli.main import main
+from fourd.scene import SceneReader, SceneWriter, open_scene
 from tests.baking.packing.test_pack import natural_frame
 from tests.baking.scenes import manifest, write_scene
 

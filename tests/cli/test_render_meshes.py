@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fourd.baking.meshes.source import is_mesh
+from fourd.base.errors import UserError
+from fourd.base.formats.glb_animation import write_animation
+from fourd.base.formats.glb_mesh import read_glb_mesh, write_coloured_glb, write_textured_glb
+from fourd.base.formats.mesh import Mesh
+from fourd.base.formats.ply import write_ply
+from fourd.base.formats.ply_mesh import read_ply_mesh
 from fourd.cli.main import main
-from fourd.errors import UserError
-from fourd.formats.glb_animation import write_animation
-from fourd.formats.glb_mesh import read_glb_mesh, write_coloured_glb, write_textured_glb
-from fourd.formats.mesh import Mesh
-from fourd.formats.ply import write_ply
-from fourd.formats.ply_mesh import read_ply_mesh
+from fourd.scene.meshes.source import is_mesh
 from tests.baking.meshes.shapes import plane, sphere
 from tests.cli.test_without_training_packages import run_without_training_packages
 

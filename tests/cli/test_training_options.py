@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from fourd.base.errors import UserError
 from fourd.cli.main import main
 from fourd.cli.training_options import TrainingOptions
-from fourd.errors import UserError
 from fourd.pipeline.graph import RunRequest
-from fourd.training.config import TrainConfig
+from fourd.reconstruction.training.config import TrainConfig
 
 
 def config(background: str | None, file: Path | None = None, *assignments: str) -> TrainConfig:

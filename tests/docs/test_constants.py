@@ -2,7 +2,7 @@
 
 A page marks a quoted number with an HTML comment that names its source. The rendered page does not show the comment:
 
-    K is at most 15<!--= fourd.training.config:TrainConfig.layers -->.
+    K is at most 15<!--= fourd.reconstruction.training.config:TrainConfig.layers -->.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.cameras import look_at
-from fourd.model import sources
+from fourd.base.cameras import look_at
+from fourd.reconstruction.model import sources
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

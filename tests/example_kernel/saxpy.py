@@ -1,5 +1,5 @@
 """The operator of the example kernel, and its reference. In the package, the path of this file would be
-``fourd/ops/saxpy.py``."""
+``fourd/rendering/ops/saxpy.py``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fourd.ops.loading import as_array, simd_name
+from fourd.rendering.ops.loading import as_array, simd_name
 
 
 def saxpy(a: float, x: Tensor, y: Tensor) -> Tensor:

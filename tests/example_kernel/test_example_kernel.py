@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.ops.loading import load_native
+from fourd.rendering.ops.loading import load_native
 from tests.example_kernel.saxpy import saxpy, saxpy_reference
 
 HERE = Path(__file__).parent

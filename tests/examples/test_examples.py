@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fourd.capture import open_capture
+from fourd.recording.capture import open_capture
 from tests.baking.scenes import ring, write_scene
 
 ROOT = Path(__file__).parents[2]

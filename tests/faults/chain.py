@@ -15,7 +15,7 @@ from typing import Any
 
 from safetensors import safe_open
 
-from fourd.files import UNFINISHED
+from fourd.base.files import UNFINISHED
 from tests.captures import write_ball_capture
 from tests.faults.operations import Mode
 

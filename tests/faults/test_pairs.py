@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.progress import untracked
-from fourd.synth.board_videos import BoardSettings, make_board_videos
+from fourd.base.progress import untracked
+from fourd.recording.synth.board_videos import BoardSettings, make_board_videos
 from tests.faults.chain import COMMANDS, Zygote, contents, leftovers, write_source
 
 PAIRS = 4

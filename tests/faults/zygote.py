@@ -21,7 +21,7 @@ import torch
 from PIL import Image
 
 from fourd.cli import main as cli
-from fourd.ops.loading import load_native
+from fourd.rendering.ops.loading import load_native
 from tests.faults.operations import Faults
 
 MAX_SECONDS = 120

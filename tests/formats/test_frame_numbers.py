@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.baking.meshes.source import MeshSource
-from fourd.baking.splats.reader import SplatReader
-from fourd.capture.layout import camera_folders, find_pictures, find_videos, sort_frames
-from fourd.capture.pictures.listing import list_images, list_masks
-from fourd.files import list_folder, sort_names
-from fourd.formats.ply import write_ply
-from fourd.importing.folders import find_frames, list_entries, picture_files
+from fourd.base.files import list_folder, sort_names
+from fourd.base.formats.ply import write_ply
+from fourd.recording.capture.layout import camera_folders, find_pictures, find_videos, sort_frames
+from fourd.recording.capture.pictures.listing import list_images, list_masks
+from fourd.recording.importing.folders import find_frames, list_entries, picture_files
+from fourd.scene.meshes.source import MeshSource
+from fourd.scene.splats.reader import SplatReader
 
 ROOT = Path(__file__).parents[2]
 NUMBERS = (1, 2, 3, 10, 11, 20, 100)
@@ -78,4 +78,4 @@ def test_no_other_function_sorts_files() -> None:
         for line in path.read_text().splitlines()
         if pattern.search(line) and path.name != "lpips.py"
     ]
-    assert not found, "use fourd.files.list_folder instead"
+    assert not found, "use fourd.base.files.list_folder instead"

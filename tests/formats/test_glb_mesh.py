@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from fourd.errors import UserError
-from fourd.formats.glb import read_glb, up_rotation
-from fourd.formats.glb_animation import write_animation
-from fourd.formats.glb_mesh import encode_texture, read_glb_mesh, write_textured_glb
-from fourd.formats.mesh import Mesh
-from fourd.formats.ply import write_ply
+from fourd.base.errors import UserError
+from fourd.base.formats.glb import read_glb, up_rotation
+from fourd.base.formats.glb_animation import write_animation
+from fourd.base.formats.glb_mesh import encode_texture, read_glb_mesh, write_textured_glb
+from fourd.base.formats.mesh import Mesh
+from fourd.base.formats.ply import write_ply
 
 Z_UP = np.array([0.0, 0.0, 2.0])
 

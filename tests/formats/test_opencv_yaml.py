@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.formats.opencv_yaml import MAX_ITEMS, OpenCvYaml
+from fourd.base.formats.opencv_yaml import MAX_ITEMS, OpenCvYaml
 
 HEADER = "%YAML:1.0\n---\n"
 

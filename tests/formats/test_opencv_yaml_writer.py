@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.formats.opencv_yaml import OpenCvYaml
-from fourd.formats.opencv_yaml_writer import Value, escape_key, write_opencv_yaml
+from fourd.base.formats.opencv_yaml import OpenCvYaml
+from fourd.base.formats.opencv_yaml_writer import Value, escape_key, write_opencv_yaml
 
 NAMES = ["00", "cam1", "a b", "1a", "it's", 'q"x', "_x", "左", "a-b", "é\\", "a#b", "a:b", "x, y", "[c]", "-", "1e5"]
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fourd.capture.decoding import decode_rgb_bytes
-from fourd.errors import UserError
-from fourd.formats.picture_end import has_end
+from fourd.base.errors import UserError
+from fourd.base.formats.picture_end import has_end
+from fourd.recording.capture.decoding import decode_rgb_bytes
 
 
 def encoded(kind: str, **options: object) -> bytes:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from fourd.errors import UserError
-from fourd.formats.ply import read_ply, write_ply
+from fourd.base.errors import UserError
+from fourd.base.formats.ply import read_ply, write_ply
 
 
 def cloud(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:

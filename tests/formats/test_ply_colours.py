@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.errors import UserError
-from fourd.formats.ply import read_ply
+from fourd.base.errors import UserError
+from fourd.base.formats.ply import read_ply
 
 WORDS = {
     "u1": "uchar",

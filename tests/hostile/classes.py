@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 import zstandard
 
-from fourd.baking.packing.pack import pack_scene
+from fourd.scene.packing.pack import pack_scene
 from tests.baking.fuzz.rewrite import rewrite_members
 from tests.capture.numbered_videos import write_slow_video
 from tests.hostile.files import Case, HostileFiles

@@ -18,17 +18,17 @@ from types import FunctionType
 
 import atheris
 
-from fourd.baking.splats.reader import SplatReader
-from fourd.boards import read_board
-from fourd.capture.calibration import check_calibration
-from fourd.capture.decoding import decode_rgb
-from fourd.capture.streams.matroska import missing_bytes
-from fourd.capture.video_list import list_videos
-from fourd.configs import load_overlay
-from fourd.errors import UserError
-from fourd.formats.ply import read_ply
-from fourd.importing.formats import actorshq, anipose, caliscope, neural3dv, qualisys, transforms_json
-from fourd.training.config import TrainConfig
+from fourd.base.configs import load_overlay
+from fourd.base.errors import UserError
+from fourd.base.formats.ply import read_ply
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.recording.boards import read_board
+from fourd.recording.capture.calibration import check_calibration
+from fourd.recording.capture.decoding import decode_rgb
+from fourd.recording.capture.streams.matroska import missing_bytes
+from fourd.recording.capture.video_list import list_videos
+from fourd.recording.importing.formats import actorshq, anipose, caliscope, neural3dv, qualisys, transforms_json
+from fourd.scene.splats.reader import SplatReader
 from fourd.viewer.navigation.recorded_path import load_recorded_path
 from tests.baking.scenes import read_frames
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from fourd.baking.exporting.export import ExportSettings, export_scene
-from fourd.baking.packing.pack import pack_scene
-from fourd.baking.rendering import open_scene
-from fourd.configs import to_yaml
+from fourd.base.configs import to_yaml
+from fourd.scene.exporting.export import ExportSettings, export_scene
+from fourd.scene.packing.pack import pack_scene
+from fourd.scene.rendering import open_scene
 from fourd.viewer.navigation.pose import Pose
 from fourd.viewer.navigation.recorded_path import PathSample, RecordedPath
 from tests.baking.scenes import write_full_scene, write_scene

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from fourd.errors import UserError
-from fourd.importing.folders import match_names
+from fourd.base.errors import UserError
+from fourd.recording.importing.folders import match_names
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.capture import open_capture, write_calibration
-from fourd.capture.video import VideoIndex, index_video
-from fourd.errors import UserError
-from fourd.importing.detection import pick_format
-from fourd.importing.importer import ImportOptions, import_source
-from fourd.processes.isolation import ParserProcess
-from fourd.progress import untracked
+from fourd.base.errors import UserError
+from fourd.base.processes.isolation import ParserProcess
+from fourd.base.progress import untracked
+from fourd.recording.capture import open_capture, write_calibration
+from fourd.recording.capture.video import VideoIndex, index_video
+from fourd.recording.importing.detection import pick_format
+from fourd.recording.importing.importer import ImportOptions, import_source
 from tests.capture.numbered_videos import HEIGHT, WIDTH, number_of, write_numbered_video
 from tests.captures import ring_cameras
 
@@ -189,7 +189,7 @@ def test_videos_are_read_through_once(tmp_path: Path, monkeypatch: pytest.Monkey
         indexed.append(path.stem)
         return index_video(path)
 
-    monkeypatch.setattr("fourd.capture.video_list.index_video", counted)
+    monkeypatch.setattr("fourd.recording.capture.video_list.index_video", counted)
     with pytest.raises(KeyboardInterrupt):
         run_import(source, out, sync=True)
     run_import(source, out, sync=True)

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from fourd.capture.calibration import write_calibration
-from fourd.errors import UserError
-from fourd.importing.detection import pick_format
-from fourd.importing.imported import Imported
+from fourd.base.errors import UserError
+from fourd.recording.capture.calibration import write_calibration
+from fourd.recording.importing.detection import pick_format
+from fourd.recording.importing.imported import Imported
 from tests.importing.formats.sources import uneven_cameras, write_pictures, write_video
 from tests.importing.formats.test_anipose import calibration_toml
 

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.cameras import Camera
-from fourd.capture import Capture, open_capture, write_calibration
-from fourd.capture.check import check_capture
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
 from fourd.cli.main import main
-from fourd.errors import UserError
-from fourd.importing.frame_geometry import turn_camera
+from fourd.recording.capture import Capture, open_capture, write_calibration
+from fourd.recording.capture.check import check_capture
+from fourd.recording.importing.frame_geometry import turn_camera
 from tests.capture.phone_videos import moving_picture, write_phone_video
 from tests.captures import ring_cameras
 from tests.importing.test_importer import run_import

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fourd.cameras import Camera
-from fourd.capture import open_capture, write_calibration
-from fourd.errors import UserError
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
+from fourd.recording.capture import open_capture, write_calibration
 from tests.capture.phone_videos import moving_picture, write_display_matrix
 from tests.capture.streams.coded_videos import write
 from tests.captures import ring_cameras

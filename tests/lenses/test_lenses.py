@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.baking.gpu_player import GpuFrame
-from fourd.baking.rendering import render_frame
 from fourd.cli.main import main
-from fourd.lenses.gpu_picture import draw_through_lens_gpu
-from fourd.lenses.inserts import GlassBall, MirrorFloor
-from fourd.lenses.lens import Fisheye, Lens, Panorama, Pinhole, ThinLens
-from fourd.lenses.picture import draw_through_lens
+from fourd.scene.gpu_player import GpuFrame
+from fourd.scene.lenses.gpu_picture import draw_through_lens_gpu
+from fourd.scene.lenses.inserts import GlassBall, MirrorFloor
+from fourd.scene.lenses.lens import Fisheye, Lens, Panorama, Pinhole, ThinLens
+from fourd.scene.lenses.picture import draw_through_lens
+from fourd.scene.rendering import render_frame
 from tests.baking.scenes import NEAR_IN_BALL, manifest, random_frame, ring, write_scene
 
 

@@ -11,7 +11,7 @@ import av
 import numpy as np
 from PIL import Image
 
-from fourd.capture import Capture, open_capture
+from fourd.recording.capture import Capture, open_capture
 from tests.captures import write_ball_capture
 
 

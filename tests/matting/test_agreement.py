@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fourd.matting.motion.agreement import NO_CELL_LOG_ODDS, VoxelGrid
+from fourd.recording.matting.motion.agreement import NO_CELL_LOG_ODDS, VoxelGrid
 from tests.captures import ring_cameras
 
 SIZE = 48

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fourd.matting.motion.background_model import BackgroundModel, Deviations, fit_background, fit_deviations
-from fourd.matting.motion.colour_models import BINS, ColourHistogram
+from fourd.recording.matting.motion.background_model import BackgroundModel, Deviations, fit_background, fit_deviations
+from fourd.recording.matting.motion.colour_models import BINS, ColourHistogram
 
 
 def test_the_colour_with_the_largest_weight_wins(rng: np.random.Generator) -> None:

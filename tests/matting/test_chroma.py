@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.errors import UserError
-from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, parse_screen, screen_distance
+from fourd.base.errors import UserError
+from fourd.recording.matting.chroma import ScreenColour, chroma_matte, find_screen, parse_screen, screen_distance
 
 Picture = NDArray[np.uint8]
 Floats = NDArray[np.float64]

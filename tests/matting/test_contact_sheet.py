@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.capture import open_capture
-from fourd.errors import UserError
-from fourd.matting.contact_sheet import CAPTION_PX, FLAT_COLOURS, write_contact_sheet
+from fourd.base.errors import UserError
+from fourd.recording.capture import open_capture
+from fourd.recording.matting.contact_sheet import CAPTION_PX, FLAT_COLOURS, write_contact_sheet
 
 Picture = NDArray[np.uint8]
 

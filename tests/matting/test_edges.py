@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.matting.edges import estimate_edge_alpha
+from fourd.recording.matting.edges import estimate_edge_alpha
 
 SIZE, OVERSAMPLING = 96, 8
 FUR, WALL = np.array([200.0, 130, 60]), np.array([90.0, 100, 120])

@@ -12,15 +12,15 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.capture import open_capture
-from fourd.errors import UserError
-from fourd.matting import output, sequence
-from fourd.matting.motion.mattes import matting_cameras
-from fourd.matting.motion.paint import PAINTED_LOG_ODDS, Paint, parse_paint, read_strokes, strokes_in_frame
-from fourd.matting.output import SHEET, MatteState
-from fourd.matting.selection import Selection
-from fourd.matting.sequence import MATTES, MatteSettings, make_mattes, write_matte
-from fourd.progress import untracked
+from fourd.base.errors import UserError
+from fourd.base.progress import untracked
+from fourd.recording.capture import open_capture
+from fourd.recording.matting import output, sequence
+from fourd.recording.matting.motion.mattes import matting_cameras
+from fourd.recording.matting.motion.paint import PAINTED_LOG_ODDS, Paint, parse_paint, read_strokes, strokes_in_frame
+from fourd.recording.matting.output import SHEET, MatteState
+from fourd.recording.matting.selection import Selection
+from fourd.recording.matting.sequence import MATTES, MatteSettings, make_mattes, write_matte
 from tests.matting.captures import matte_iou, write_capture_without_masks
 
 

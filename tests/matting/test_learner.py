@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from fourd.cameras import Camera
-from fourd.matting.motion.colour_models import ColourHistogram
-from fourd.matting.motion.learner import Learner
-from fourd.matting.motion.motion_extent import MOVING_FACTOR, MotionExtent
-from fourd.matting.motion.sampling import CameraSample
+from fourd.base.cameras import Camera
+from fourd.recording.matting.motion.colour_models import ColourHistogram
+from fourd.recording.matting.motion.learner import Learner
+from fourd.recording.matting.motion.motion_extent import MOVING_FACTOR, MotionExtent
+from fourd.recording.matting.motion.sampling import CameraSample
 
 FRAMES, SIZE = 12, 64
 FOOT, INNER = np.s_[32:44, 28:40], np.s_[34:42, 30:38]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from fourd.matting.channels import channel_max, channel_min, channel_sum
-from fourd.matting.motion.colour_models import BINS as COARSE_BINS
-from fourd.matting.motion.colour_models import ColourHistogram
-from fourd.matting.motion.local_colours import BINS, LocalColours
+from fourd.recording.matting.channels import channel_max, channel_min, channel_sum
+from fourd.recording.matting.motion.colour_models import BINS as COARSE_BINS
+from fourd.recording.matting.motion.colour_models import ColourHistogram
+from fourd.recording.matting.motion.local_colours import BINS, LocalColours
 
 RED, BLUE = (200, 40, 40), (40, 40, 200)
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.errors import UserError
-from fourd.matting.onnx_network import load_onnx
+from fourd.base.errors import UserError
+from fourd.recording.matting.onnx_network import load_onnx
 
 onnx = pytest.importorskip("onnx", reason="the package onnx makes the networks")
 pytest.importorskip("onnxruntime", reason="the package onnxruntime runs the networks")

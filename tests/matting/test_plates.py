@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.capture import open_capture
-from fourd.matting.plates import FOLDER, clean_plate, make_plates
-from fourd.matting.selection import Selection
-from fourd.progress import untracked
+from fourd.base.progress import untracked
+from fourd.recording.capture import open_capture
+from fourd.recording.matting.plates import FOLDER, clean_plate, make_plates
+from fourd.recording.matting.selection import Selection
 from tests.matting.captures import write_capture_without_masks
 
 

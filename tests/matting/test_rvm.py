@@ -10,8 +10,8 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from fourd.errors import UserError
-from fourd.matting.rvm import automatic_ratio, load_rvm
+from fourd.base.errors import UserError
+from fourd.recording.matting.rvm import automatic_ratio, load_rvm
 
 Picture = NDArray[np.uint8]
 

@@ -10,15 +10,15 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.calibration.checks.agreement import match_capture
-from fourd.capture import Capture, open_capture
-from fourd.capture.check import check_capture
-from fourd.errors import UserError
-from fourd.matting.contours import find_foreign_mattes
-from fourd.matting.output import MODEL_NAME, SHEET
-from fourd.matting.selection import CACHE_FRAMES, Selection
-from fourd.matting.sequence import MATTES, MatteSettings, make_mattes
-from fourd.progress import untracked
+from fourd.base.errors import UserError
+from fourd.base.progress import untracked
+from fourd.recording.calibration.checks.agreement import match_capture
+from fourd.recording.capture import Capture, open_capture
+from fourd.recording.capture.check import check_capture
+from fourd.recording.matting.contours import find_foreign_mattes
+from fourd.recording.matting.output import MODEL_NAME, SHEET
+from fourd.recording.matting.selection import CACHE_FRAMES, Selection
+from fourd.recording.matting.sequence import MATTES, MatteSettings, make_mattes
 from tests.matting.captures import matte_iou, write_capture_without_masks
 
 
@@ -105,7 +105,7 @@ def test_a_capture_is_opened_once(made: Path, monkeypatch: pytest.MonkeyPatch) -
         opened.append(path)
         return open_capture(path, **options)
 
-    monkeypatch.setattr("fourd.matting.selection.open_capture", counted)
+    monkeypatch.setattr("fourd.recording.matting.selection.open_capture", counted)
     capture = Selection(made).open()
     assert len(opened) == 1
     first = [capture.image(camera, 0) for camera in range(8)]

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.cameras import Camera
-from fourd.capture import open_capture
-from fourd.matting.motion.sampling import CameraSample
-from fourd.matting.motion.subject import learn_subject
-from fourd.matting.solid.moments import MIN_CAMERAS, Moments, reconstruct_moments
-from fourd.matting.solid.room import Room
-from fourd.matting.solid.silhouette import point_silhouette
-from fourd.matting.solid.subject import SolidSubject
-from fourd.matting.solid.subject_points import find_subject_points
-from fourd.progress import untracked
+from fourd.base.cameras import Camera
+from fourd.base.progress import untracked
+from fourd.recording.capture import open_capture
+from fourd.recording.matting.motion.sampling import CameraSample
+from fourd.recording.matting.motion.subject import learn_subject
+from fourd.recording.matting.solid.moments import MIN_CAMERAS, Moments, reconstruct_moments
+from fourd.recording.matting.solid.room import Room
+from fourd.recording.matting.solid.silhouette import point_silhouette
+from fourd.recording.matting.solid.subject import SolidSubject
+from fourd.recording.matting.solid.subject_points import find_subject_points
 from tests.captures import write_ball_capture
 
 Array = NDArray[np.float64]

@@ -9,16 +9,16 @@ import pytest
 import torch
 import trimesh
 
-from fourd.capture import Capture, open_capture
-from fourd.capture.pictures.mask_source import frame_masks
-from fourd.carving.bounds import Bounds
-from fourd.errors import UserError
-from fourd.mesh.fitting.fit import fit_mesh
-from fourd.mesh.fitting.hull_distance import DistanceGrid, hull_distance_grid
-from fourd.mesh.fitting.settings import FitSettings
-from fourd.mesh.surface.grid import box_grid
-from fourd.mesh.surface.marching import marching_tetrahedra
-from fourd.mesh.views import MeshView, mesh_views
+from fourd.base.errors import UserError
+from fourd.reconstruction.carving.bounds import Bounds
+from fourd.reconstruction.meshes.fitting.fit import fit_mesh
+from fourd.reconstruction.meshes.fitting.hull_distance import DistanceGrid, hull_distance_grid
+from fourd.reconstruction.meshes.fitting.settings import FitSettings
+from fourd.reconstruction.meshes.surface.grid import box_grid
+from fourd.reconstruction.meshes.surface.marching import marching_tetrahedra
+from fourd.reconstruction.meshes.views import MeshView, mesh_views
+from fourd.recording.capture import Capture, open_capture
+from fourd.recording.capture.pictures.mask_source import frame_masks
 
 CENTRE = np.array([0.0, 0.1, 0.0])
 """Centre of the ball of ``ball_capture`` in frame 0."""

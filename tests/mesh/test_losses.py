@@ -8,8 +8,8 @@ import torch
 import trimesh
 from torch import Tensor
 
-from fourd.mesh.surface.components import drop_crumbs
-from fourd.mesh.surface.losses import (
+from fourd.reconstruction.meshes.surface.components import drop_crumbs
+from fourd.reconstruction.meshes.surface.losses import (
     MeshTopology,
     edge_length_loss,
     laplacian_loss,

@@ -8,8 +8,8 @@ import torch
 import trimesh
 from torch import Tensor
 
-from fourd.mesh.surface.grid import TetrahedralGrid, box_grid, cube_grid
-from fourd.mesh.surface.marching import marching_tetrahedra
+from fourd.reconstruction.meshes.surface.grid import TetrahedralGrid, box_grid, cube_grid
+from fourd.reconstruction.meshes.surface.marching import marching_tetrahedra
 
 RADIUS = 0.8
 

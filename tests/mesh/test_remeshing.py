@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from fourd.mesh.surface import remeshing
-from fourd.mesh.surface.remeshing import remesh
+from fourd.reconstruction.meshes.surface import remeshing
+from fourd.reconstruction.meshes.surface.remeshing import remesh
 
 BOX = trimesh.creation.box(extents=(1, 0.6, 0.4)).subdivide().subdivide()
 XYZ, FACES = np.asarray(BOX.vertices, np.float32), np.asarray(BOX.faces, np.int64)

@@ -10,14 +10,14 @@ import torch
 import trimesh
 from numpy.typing import NDArray
 
-from fourd.cameras import Camera, look_at
-from fourd.mesh.rendering import render_mesh, silhouette_iou
-from fourd.mesh.texturing.atlas import build_atlas, find_texels
-from fourd.mesh.texturing.blending import blend_views
-from fourd.mesh.texturing.inpainting import GREY, fill_between_charts, fill_vertices
-from fourd.mesh.texturing.texture import TexturedMesh, colour_mesh, texture_mesh
-from fourd.mesh.texturing.visibility import Occluder
-from fourd.mesh.views import MeshView, depth_image, mesh_views
+from fourd.base.cameras import Camera, look_at
+from fourd.reconstruction.meshes.rendering import render_mesh, silhouette_iou
+from fourd.reconstruction.meshes.texturing.atlas import build_atlas, find_texels
+from fourd.reconstruction.meshes.texturing.blending import blend_views
+from fourd.reconstruction.meshes.texturing.inpainting import GREY, fill_between_charts, fill_vertices
+from fourd.reconstruction.meshes.texturing.texture import TexturedMesh, colour_mesh, texture_mesh
+from fourd.reconstruction.meshes.texturing.visibility import Occluder
+from fourd.reconstruction.meshes.views import MeshView, depth_image, mesh_views
 from tests.captures import ring_cameras
 
 Z = np.array([0.0, 0.0, 1.0])

@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.model.config import PlanesConfig
-from fourd.model.kplanes import KPlanes
+from fourd.reconstruction.model.config import PlanesConfig
+from fourd.reconstruction.model.kplanes import KPlanes
 
 
 def bilinear(plane: np.ndarray, x: float, y: float) -> np.ndarray:

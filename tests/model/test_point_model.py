@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.cameras import Camera, look_at
-from fourd.model import ModelConfig, PlanesConfig, PointModel
-from fourd.model.appearance import BlendHead, ImageEncoder, blend, mix_own_colours
-from fourd.model.sources import SourceViews, project_points, sample_sources
-from fourd.model.spherical_harmonics import sh_basis
+from fourd.base.cameras import Camera, look_at
+from fourd.reconstruction.model import ModelConfig, PlanesConfig, PointModel
+from fourd.reconstruction.model.appearance import BlendHead, ImageEncoder, blend, mix_own_colours
+from fourd.reconstruction.model.sources import SourceViews, project_points, sample_sources
+from fourd.reconstruction.model.spherical_harmonics import sh_basis
 
 SMALL = ModelConfig(planes=PlanesConfig(levels=2, features=4, base_resolution=8), hidden=16)
 INTRINSICS = np.array([[40.0, 0, 16], [0, 40, 16], [0, 0, 1]])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.model.shadow import FADE, Shadow, ShadowField
+from fourd.reconstruction.model.shadow import FADE, Shadow, ShadowField
 
 LOWER, UPPER = np.array([-0.5, -0.5, 0.0]), np.array([0.5, 0.5, 2.0])
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from fourd.model.shared_linear import shared_linear
+from fourd.reconstruction.model.shared_linear import shared_linear
 
 
 def test_values_and_gradients_equal_those_of_separate_layers(rng: np.random.Generator) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fourd.ops.aligned import CACHE_LINE, HUGE_PAGE, zeros_aligned
+from fourd.rendering.ops.aligned import CACHE_LINE, HUGE_PAGE, zeros_aligned
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.blend.op import blend_logits
-from fourd.ops.blend.reference import blend_logits_reference
-from fourd.ops.loading import load_native
+from fourd.rendering.ops.blend.op import blend_logits
+from fourd.rendering.ops.blend.reference import blend_logits_reference
+from fourd.rendering.ops.loading import load_native
 
 
 def arguments(

@@ -10,10 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.hashgrid.op import encode_hash_grid
-from fourd.ops.hashgrid.reference import encode_hash_grid_reference
-from fourd.ops.hashgrid.shape import HashGridShape
-from fourd.ops.loading import load_native
+from fourd.rendering.ops.hashgrid.op import encode_hash_grid
+from fourd.rendering.ops.hashgrid.reference import encode_hash_grid_reference
+from fourd.rendering.ops.hashgrid.shape import HashGridShape
+from fourd.rendering.ops.loading import load_native
 
 
 def small_grid(features: int = 2) -> HashGridShape:

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from fourd.ops.neighbours import BLOCK, nearest_neighbours
+from fourd.rendering.ops.neighbours import BLOCK, nearest_neighbours
 
 SEARCH = """
 import gc, sys
 import numpy as np
-from fourd.ops.neighbours import nearest_neighbours
+from fourd.rendering.ops.neighbours import nearest_neighbours
 
 def search():
     points = np.random.default_rng(0).random((60000, 3))

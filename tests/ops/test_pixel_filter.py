@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.ops.loading import load_native
-from fourd.ops.pixel_filter.cuda import filter_pixels_gpu
-from fourd.ops.pixel_filter.op import filter_pixels
-from fourd.ops.pixel_filter.reference import filter_pixels_reference
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.ops.pixel_filter.cuda import filter_pixels_gpu
+from fourd.rendering.ops.pixel_filter.op import filter_pixels
+from fourd.rendering.ops.pixel_filter.reference import filter_pixels_reference
 
 SIZES = [(1, 1), (1, 7), (5, 1), (33, 40), (3, 515)]
 """Sizes with one row or column, with several tasks of rows, and with several runs of pixels in a row."""

@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.loading import load_native
-from fourd.ops.planes.op import sample_planes
-from fourd.ops.planes.reference import sample_planes_reference
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.ops.planes.op import sample_planes
+from fourd.rendering.ops.planes.reference import sample_planes_reference
 
 PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 

@@ -8,9 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.gpu import cuda_unavailable_reason, load_gpu
-from fourd.ops.points.validation import pack_camera
-from fourd.raster import point_visibility, render_points
+from fourd.rendering import point_visibility, render_points
+from fourd.rendering.ops.gpu import cuda_unavailable_reason, load_gpu
+from fourd.rendering.ops.points.validation import pack_camera
 from tests.ops.test_points_parity import NEAR, OUTPUTS, assert_parity, run
 from tests.raster.clouds import Cloud, cloud_with_invalid_points, random_cloud, turned_camera
 

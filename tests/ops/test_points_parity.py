@@ -9,10 +9,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.loading import load_native
-from fourd.ops.points.arrays import point_visibility_numpy, render_points_numpy
-from fourd.ops.points.validation import MAX_SIDE_PX, pack_camera
-from fourd.raster import point_visibility, render_points
+from fourd.rendering import point_visibility, render_points
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.ops.points.arrays import point_visibility_numpy, render_points_numpy
+from fourd.rendering.ops.points.validation import MAX_SIDE_PX, pack_camera
 from tests.raster.clouds import NAMES, Cloud, cloud_with_invalid_points, random_cloud, turned_camera
 
 NEAR = 0.01
@@ -214,7 +214,7 @@ def test_early_termination_errs_by_at_most_the_transmittance(rng: np.random.Gene
 
 def test_gradient_and_visibility_operators_pass_opcheck(rng: np.random.Generator) -> None:
     """Catches a fake implementation whose shapes or strides would break torch.compile."""
-    from fourd.ops.points import op as ops
+    from fourd.rendering.ops.points import op as ops
 
     cloud, numbers = random_cloud(rng, 20, 2), pack_camera(turned_camera(18, 11))
     image = (torch.randn(11, 18, 2), torch.randn(11, 18))
@@ -287,7 +287,7 @@ def test_arguments_of_the_wrong_type_are_named() -> None:
     arrays = [torch.zeros(5, 3), torch.zeros(5, 3), torch.ones(5), torch.ones(5)]
     with pytest.raises(TypeError, match=r"xyz: expected a torch.Tensor, got ndarray"):
         render_points(arrays[0].numpy(), *arrays[1:], camera)
-    with pytest.raises(TypeError, match=r"camera: expected a fourd.cameras.Camera, got int"):
+    with pytest.raises(TypeError, match=r"camera: expected a fourd.base.cameras.Camera, got int"):
         render_points(*arrays, 3)
     distorted = replace(camera, distortion=np.array([0.1, 0, 0, 0]))
     with pytest.raises(ValueError, match=r"camera: expected an ideal pinhole.*undistort"):

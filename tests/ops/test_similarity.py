@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.ops.loading import load_native
-from fourd.ops.similarity.op import _similarity, structural_similarity
-from fourd.ops.similarity.reference import structural_similarity_reference
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.ops.similarity.op import _similarity, structural_similarity
+from fourd.rendering.ops.similarity.reference import structural_similarity_reference
 
 
 def pictures(rng: np.random.Generator, height: int, width: int, channels: int) -> tuple[torch.Tensor, torch.Tensor]:

@@ -11,11 +11,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.loading import load_native
-from fourd.ops.points.validation import pack_camera
-from fourd.ops.soft_triangles import op
-from fourd.ops.soft_triangles.softness import Softness
-from fourd.raster.triangles import rasterize_soft
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.ops.points.validation import pack_camera
+from fourd.rendering.ops.soft_triangles import op
+from fourd.rendering.ops.soft_triangles.softness import Softness
+from fourd.rendering.triangles import rasterize_soft
 from tests.raster.clouds import turned_camera
 from tests.raster.triangles.soups import Soup, random_soup
 

@@ -10,11 +10,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.gpu import load_gpu
-from fourd.ops.loading import load_native
-from fourd.ops.points.validation import pack_camera
-from fourd.ops.sources.op import _sample, sample_sources
-from fourd.ops.sources.reference import sample_sources_reference
+from fourd.rendering.ops.gpu import load_gpu
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.ops.points.validation import pack_camera
+from fourd.rendering.ops.sources.op import _sample, sample_sources
+from fourd.rendering.ops.sources.reference import sample_sources_reference
 from tests.baking.scenes import ring
 
 VIEWS, HEIGHT, WIDTH = 3, 40, 48

@@ -10,10 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.loading import load_native
-from fourd.ops.points.validation import pack_camera
-from fourd.ops.splat_triangles import op
-from fourd.raster.triangles import splat_triangles
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.ops.points.validation import pack_camera
+from fourd.rendering.ops.splat_triangles import op
+from fourd.rendering.triangles import splat_triangles
 from tests.raster.clouds import turned_camera
 from tests.raster.triangles.soups import NAMES, Soup, random_soup
 

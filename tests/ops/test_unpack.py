@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fourd.ops.unpack.op import unpack_harmonics, unpack_positions, unpack_views
-from fourd.ops.unpack.reference import (
+from fourd.rendering.ops.unpack.op import unpack_harmonics, unpack_positions, unpack_views
+from fourd.rendering.ops.unpack.reference import (
     unpack_harmonics_reference,
     unpack_positions_reference,
     unpack_views_reference,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.optimization.levenberg_marquardt import Rules, Trial, minimize
+from fourd.base.optimization.levenberg_marquardt import Rules, Trial, minimize
 
 Array = NDArray[np.float64]
 RULES = Rules(max_steps=100, max_trials=8, min_relative_decrease=1e-12)

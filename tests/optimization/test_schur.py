@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fourd.optimization.schur import Coupling, DenseCoupling, NormalEquations, SparseCoupling
+from fourd.base.optimization.schur import Coupling, DenseCoupling, NormalEquations, SparseCoupling
 
 GROUPS, SIZE, BLOCKS, INNER = 4, 3, 6, 2
 KEPT = GROUPS * SIZE

@@ -15,15 +15,15 @@ import pytest
 from rich.console import Console
 
 from fourd import __version__
-from fourd.baking import open_scene
+from fourd.base.errors import UserError
 from fourd.cli.main import main
-from fourd.errors import UserError
-from fourd.matting.sequence import MatteSettings
 from fourd.pipeline.cluster import Cluster, Job, join_cluster, run_job
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stage import Context, NoSettings, Stage
-from fourd.training.config import SegmentConfig
+from fourd.reconstruction.training.config import SegmentConfig
+from fourd.recording.matting.sequence import MatteSettings
+from fourd.scene import open_scene
 from tests.captures import write_ball_capture
 from tests.pipeline.test_stage import copy_stage
 from tests.training.small import SMALL, with_steps

@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.capture import write_calibration
-from fourd.formats.picture import write_picture
+from fourd.base.formats.picture import write_picture
 from fourd.pipeline.make import create_run
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.cameras.colours import ColourFiles, run_colours
-from fourd.training.cameras.measured_colours import read_measured_colours
-from fourd.training.cameras.selection import DataSelection
-from fourd.training.config import RefineConfig
+from fourd.reconstruction.training.cameras.measured_colours import read_measured_colours
+from fourd.reconstruction.training.cameras.selection import DataSelection
+from fourd.reconstruction.training.config import RefineConfig
+from fourd.recording.capture import write_calibration
 from tests.calibration.rooms import Room, room_cameras
 from tests.training.small import SMALL
 

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.capture import open_capture
-from fourd.capture.split import write_test_views
 from fourd.cli.main import main
+from fourd.recording.capture import open_capture
+from fourd.recording.capture.split import write_test_views
 from tests.matting.captures import matte_iou, write_capture_without_masks
 
 

@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from fourd.errors import UserError
-from fourd.importing.importer import ImportOptions
-from fourd.matting.sequence import MatteSettings
+from fourd.base.errors import UserError
 from fourd.pipeline.kept import find_trained
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.stage import Context
-from fourd.training.config import SegmentConfig, TrainConfig
-from fourd.training.run import load_run, open_run
+from fourd.reconstruction.training.config import SegmentConfig, TrainConfig
+from fourd.reconstruction.training.run import load_run, open_run
+from fourd.recording.importing.importer import ImportOptions
+from fourd.recording.matting.sequence import MatteSettings
 from tests.captures import write_ball_capture
 from tests.training.small import SMALL, with_steps
 

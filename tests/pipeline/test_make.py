@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from fourd.base.errors import UserError
+from fourd.base.formats.ply import write_ply
 from fourd.cli.main import main
-from fourd.errors import UserError
-from fourd.formats.ply import write_ply
-from fourd.importing.importer import ImportOptions
-from fourd.matting.sequence import MatteSettings
 from fourd.pipeline.capture_graph import stages_to_capture
 from fourd.pipeline.make import create_run, make_scene
 from fourd.pipeline.stage import Context
-from fourd.training.config import RefineConfig, TrainConfig
-from fourd.training.loop import Trainer
-from fourd.training.metrics_log import MetricsLog
+from fourd.reconstruction.training.config import RefineConfig, TrainConfig
+from fourd.reconstruction.training.loop import Trainer
+from fourd.reconstruction.training.metrics_log import MetricsLog
+from fourd.recording.importing.importer import ImportOptions
+from fourd.recording.matting.sequence import MatteSettings
 from tests.captures import sphere
 from tests.faults.chain import SMALL as SMALL_SETTINGS
 from tests.matting.captures import write_capture_without_masks, write_video

@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.capture import open_capture
-from fourd.capture.check import check_capture
-from fourd.capture.split import write_test_views
+from fourd.base.errors import UserError
+from fourd.base.files import sort_names
 from fourd.cli.main import main
-from fourd.errors import UserError
-from fourd.files import sort_names
 from fourd.pipeline.stages import check
+from fourd.recording.capture import open_capture
+from fourd.recording.capture.check import check_capture
+from fourd.recording.capture.split import write_test_views
 
 UNMASKED = ("02", "05")
 

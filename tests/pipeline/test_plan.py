@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from fourd.pipeline.plan import describe_plan
-from fourd.training.config import SegmentConfig, TrainConfig
+from fourd.reconstruction.training.config import SegmentConfig, TrainConfig
 from tests.importing.test_layouts import pose2sim
 
 

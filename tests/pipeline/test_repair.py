@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from fourd.calibration.perturbation import perturb_cameras
-from fourd.capture import open_capture
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.cameras.repair import repair_stage, repaired_capture
+from fourd.recording.calibration.perturbation import perturb_cameras
+from fourd.recording.capture import open_capture
 from tests.calibration.rooms import room_cameras
 from tests.cli.test_import import write_room
 

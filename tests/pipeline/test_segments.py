@@ -15,25 +15,25 @@ import pytest
 import torch
 from rich.console import Console
 
-from fourd.baking import SceneReader, open_scene
+from fourd.base.errors import UserError
 from fourd.cli.main import main
-from fourd.errors import UserError
-from fourd.matting.sequence import MatteSettings
-from fourd.model import PointModel
 from fourd.pipeline.graph import RunRequest, stages_to_run
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.segments import run_segment
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, run_bake
-from fourd.training.checkpoints import latest_checkpoint, load_checkpoint
-from fourd.training.config import SegmentConfig, TrainConfig
-from fourd.training.loop import Trainer
-from fourd.training.run import load_run, open_run
-from fourd.training.run_layout import CHECKPOINTS, segment_folder, segment_folders
-from fourd.training.segments.fade import kept_points
-from fourd.training.segments.segmented_run import SegmentedRun, open_trained
-from fourd.training.segments.warm_start import time_plane_names, write_warm_start
+from fourd.reconstruction.model import PointModel
+from fourd.reconstruction.training.checkpoints import latest_checkpoint, load_checkpoint
+from fourd.reconstruction.training.config import SegmentConfig, TrainConfig
+from fourd.reconstruction.training.loop import Trainer
+from fourd.reconstruction.training.run import load_run, open_run
+from fourd.reconstruction.training.run_layout import CHECKPOINTS, segment_folder, segment_folders
+from fourd.reconstruction.training.segments.fade import kept_points
+from fourd.reconstruction.training.segments.segmented_run import SegmentedRun, open_trained
+from fourd.reconstruction.training.segments.warm_start import time_plane_names, write_warm_start
+from fourd.recording.matting.sequence import MatteSettings
+from fourd.scene import SceneReader, open_scene
 from tests.captures import write_ball_capture
 from tests.training.small import SMALL, with_steps
 

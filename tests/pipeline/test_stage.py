@@ -11,13 +11,13 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from fourd.matting.sequence import MatteSettings
 from fourd.pipeline.graph import RunRequest, stages_to_scene
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.points.carve import CarveStageSettings, carve_stage
-from fourd.training.cameras.selection import DataSelection
-from fourd.training.config import RefineConfig
+from fourd.reconstruction.training.cameras.selection import DataSelection
+from fourd.reconstruction.training.config import RefineConfig
+from fourd.recording.matting.sequence import MatteSettings
 from tests.training.small import full_config
 
 

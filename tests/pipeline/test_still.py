@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from fourd.baking.container import SceneReader
-from fourd.capture import open_capture
-from fourd.errors import UserError
-from fourd.matting.sequence import MatteSettings
+from fourd.base.errors import UserError
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.plan import describe_plan
 from fourd.pipeline.stage import Context
 from fourd.pipeline.still_scenes import stands_still
+from fourd.recording.capture import open_capture
+from fourd.recording.matting.sequence import MatteSettings
+from fourd.scene.container import SceneReader
 from tests.training.small import SMALL, full_config, with_steps
 
 

@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from fourd.errors import UserError
-from fourd.matting.output import MatteState
-from fourd.matting.sequence import MatteSettings
+from fourd.base.errors import UserError
+from fourd.base.storage import parse_location
 from fourd.pipeline.kept import keep_run, kept_folders
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Context, Leftovers, Stage
 from fourd.pipeline.stages import mattes
-from fourd.storage import parse_location
+from fourd.recording.matting.output import MatteState
+from fourd.recording.matting.sequence import MatteSettings
 
 
 @dataclass(frozen=True)

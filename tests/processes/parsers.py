@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.errors import UserError
+from fourd.base.errors import UserError
 
 
 def read(path: str, suffix: str) -> tuple[dict[str, object], bytes]:

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from fourd.errors import UserError
-from fourd.processes import isolation
-from fourd.processes.isolation import ParserProcess
+from fourd.base.errors import UserError
+from fourd.base.processes import isolation
+from fourd.base.processes.isolation import ParserProcess
 
 PARSERS = "tests.processes.parsers"
 
@@ -65,7 +65,7 @@ def test_the_child_ends_with_its_parent(file: Path) -> None:
     program = f"""
 import threading, time
 from pathlib import Path
-from fourd.processes.isolation import ParserProcess
+from fourd.base.processes.isolation import ParserProcess
 parser = ParserProcess()
 print(parser.call("{PARSERS}:read", Path({str(file)!r}), "").value["process"], flush=True)
 parser.call("{PARSERS}:sleep", Path({str(file)!r}))

@@ -12,15 +12,15 @@ from pathlib import Path
 
 import pytest
 
+from fourd.base.errors import UserError
+from fourd.base.processes import DeferredInterrupt, locked_folder
 from fourd.cli.main import main
-from fourd.errors import UserError
-from fourd.processes import DeferredInterrupt, locked_folder
 from tests.baking.scenes import write_scene
 
 HOLDER = """
 import sys
 from pathlib import Path
-from fourd.processes import locked_folder
+from fourd.base.processes import locked_folder
 with locked_folder(Path(sys.argv[1])):
     print("locked", flush=True)
     sys.stdin.read()

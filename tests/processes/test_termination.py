@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from fourd.training.checkpoints import checkpoint_files
+from fourd.reconstruction.training.checkpoints import checkpoint_files
 
 DEADLINE_SECONDS = 200
 

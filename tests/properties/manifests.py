@@ -8,10 +8,11 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from fourd.baking.attributes import ATTRIBUTES
-from fourd.baking.files.encoding import SH_NUMBERS, TIERS, CloudEncoding, SceneEncoding
-from fourd.baking.manifest import MAX_PIXELS, MAX_POINTS
-from fourd.baking.scene import (
+from fourd.base.cameras import Camera
+from fourd.scene.attributes import ATTRIBUTES
+from fourd.scene.files.encoding import SH_NUMBERS, TIERS, CloudEncoding, SceneEncoding
+from fourd.scene.manifest import MAX_PIXELS, MAX_POINTS
+from fourd.scene.scene import (
     FULL_VERSION,
     OBJECT_VERSION,
     PACKED_VERSION,
@@ -19,7 +20,6 @@ from fourd.baking.scene import (
     SceneBackground,
     SceneManifest,
 )
-from fourd.cameras import Camera
 
 COORDINATES = st.floats(-1e29, 1e29)
 NAMES = st.text(min_size=1, max_size=255).filter(str.isprintable)

@@ -9,11 +9,11 @@ import yaml
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from fourd.configs import load_overlay, save_config, set_values, to_yaml
-from fourd.errors import UserError
-from fourd.stylize.styles import Style
-from fourd.training.config import TrainConfig
-from fourd.training.run import RunConfig
+from fourd.base.configs import load_overlay, save_config, set_values, to_yaml
+from fourd.base.errors import UserError
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.reconstruction.training.run import RunConfig
+from fourd.scene.styles.styles import Style
 from tests.properties.configs import assignments, changed_lines, configs, paths_of, values, with_value
 from tests.properties.effort import EFFORTS
 

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fourd.baking.files.json_node import ManifestError
-from fourd.baking.manifest import manifest_from_json, manifest_to_json
-from fourd.baking.packing.pack import pack_scene
-from fourd.baking.scene import SceneManifest
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.scene.files.json_node import ManifestError
+from fourd.scene.manifest import manifest_from_json, manifest_to_json
+from fourd.scene.packing.pack import pack_scene
+from fourd.scene.scene import SceneManifest
 from tests.baking.fuzz.rewrite import rewrite_members
 from tests.baking.scenes import read_frames, write_full_scene
 from tests.properties.effort import EFFORTS

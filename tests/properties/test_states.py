@@ -14,14 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from fourd.boards import read_board
-from fourd.capture import frame_rate, video_list
-from fourd.carving.sequence import BOUNDS_NAME, read_bounds
-from fourd.errors import UserError
-from fourd.importing.record import RECORD, check_unpacked, read_record, write_record
+from fourd.base.errors import UserError
 from fourd.pipeline.stages.cameras.repair import RESULT, repaired_capture
 from fourd.pipeline.stages.mesh import SCORES_NAME, read_scores
-from fourd.training.checkpoints import SavedProgress, load_checkpoint, save_checkpoint, verify_checkpoint
+from fourd.reconstruction.carving.sequence import BOUNDS_NAME, read_bounds
+from fourd.reconstruction.training.checkpoints import SavedProgress, load_checkpoint, save_checkpoint, verify_checkpoint
+from fourd.recording.boards import read_board
+from fourd.recording.capture import frame_rate, video_list
+from fourd.recording.importing.record import RECORD, check_unpacked, read_record, write_record
 from fourd.viewer.navigation.recorded_path import load_recorded_path
 from tests.properties.effort import EFFORTS
 from tests.properties.json_trees import Tree, changed_trees, trees

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.cameras import Camera, look_at
-from fourd.capture import write_calibration
+from fourd.base.cameras import Camera, look_at
+from fourd.recording.capture import write_calibration
 from tests.random_captures.recipes import Recipe, Texture
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fourd.cameras import Camera
+from fourd.base.cameras import Camera
 
 NAMES = ("xyz", "features", "radius", "density")
 

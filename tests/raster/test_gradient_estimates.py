@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.raster.triangles import estimate_gradient
+from fourd.rendering.triangles import estimate_gradient
 
 IDS = torch.tensor([[0, 1], [2, 2], [-1, 0]])
 TARGET = torch.tensor([[0.2, 0.8], [0.1, 0.4], [0.7, 0.5]], dtype=torch.float64)

@@ -7,10 +7,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.cameras import Camera
-from fourd.ops.loading import load_native
-from fourd.ops.points.arrays import point_visibility_numpy, render_points_numpy
-from fourd.raster import point_visibility, render_points
+from fourd.base.cameras import Camera
+from fourd.rendering import point_visibility, render_points
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.ops.points.arrays import point_visibility_numpy, render_points_numpy
 from tests.raster.clouds import NAMES, Cloud, cloud_with_invalid_points, random_cloud, turned_camera
 
 NEAR = 0.01
@@ -211,8 +211,8 @@ def test_visibility_equals_the_reference(rng: np.random.Generator) -> None:
 def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
     """Catches a fake implementation that returns wrong shapes, an undeclared mutation, and a gradient that is not
     registered."""
-    from fourd.ops.points import op
-    from fourd.ops.points.validation import pack_camera
+    from fourd.rendering.ops.points import op
+    from fourd.rendering.ops.points.validation import pack_camera
 
     camera = turned_camera(20, 14)
     cloud = random_cloud(rng, 30, 3)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from fourd.baking import SceneReader
 from fourd.cli.main import main
+from fourd.scene import SceneReader
 from tests.captures import write_ball_capture
 from tests.storage.s3_server import Bucket, put_folder, unfinished_uploads
 

@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 
 import pytest
 
-from fourd.errors import UserError
-from fourd.storage import StorageUrl, fetch, local_copy
+from fourd.base.errors import UserError
+from fourd.base.storage import StorageUrl, fetch, local_copy
 from tests.storage.s3_server import Bucket
 
 Item = TypeVar("Item")
@@ -102,7 +102,7 @@ def test_an_object_that_changes_while_it_is_read_is_an_error(
     bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Catches a file with pieces of two versions of an object. The copy of the first version must stay."""
-    monkeypatch.setattr("fourd.storage.downloading.PIECE_BYTES", 4)
+    monkeypatch.setattr("fourd.base.storage.downloading.PIECE_BYTES", 4)
     url = put(bucket, a=b"first")
     fetch(url, tmp_path)
     put(bucket, a=b"second version")
@@ -174,7 +174,7 @@ def test_copies_keep_the_time_of_the_object(bucket: Bucket, tmp_path: Path) -> N
 MEASURE = """
 import resource, sys
 from pathlib import Path
-from fourd.storage import StorageUrl, fetch, upload
+from fourd.base.storage import StorageUrl, fetch, upload
 
 peaks = []
 for name in ("small", "big"):

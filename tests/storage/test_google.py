@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.base.storage import StorageUrl, check_writable, fetch, find_objects, open_object, upload
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stored.cache import CACHE_VARIABLE, Cache, cache_folder
 from fourd.pipeline.stored.unit import UnitFiles, unit_stage
 from fourd.pipeline.stored.work_store import WorkStore
-from fourd.storage import StorageUrl, check_writable, fetch, find_objects, open_object, upload
 from tests.pipeline.test_stage import copy_stage
 
 MEGABYTE = 1 << 20
@@ -56,7 +56,7 @@ def test_objects_are_written_and_read(store: Any, tmp_path: Path, monkeypatch: p
     """Catches parts with a size that Google Cloud Storage refuses, and lost bytes of small, empty and large files. Also
     catches an object's version that gcsfs reports under another name.
     """
-    monkeypatch.setattr("fourd.storage.uploading.PART_BYTES", MEGABYTE)
+    monkeypatch.setattr("fourd.base.storage.uploading.PART_BYTES", MEGABYTE)
     contents = {"empty": b"", "small": b"text", "large": os.urandom(3 * MEGABYTE + 5)}
     for name, content in contents.items():
         (tmp_path / name).write_bytes(content)

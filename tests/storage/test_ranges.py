@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fourd.baking import SceneReader, open_scene
-from fourd.baking.playable import open_playable
-from fourd.errors import UserError
-from fourd.storage import StorageUrl
-from fourd.storage.ranges import READ_AHEAD_BYTES
+from fourd.base.errors import UserError
+from fourd.base.storage import StorageUrl
+from fourd.base.storage.ranges import READ_AHEAD_BYTES
+from fourd.scene import SceneReader, open_scene
+from fourd.scene.playable import open_playable
 from tests.baking.scenes import write_scene
 from tests.storage.s3_server import Bucket
 

@@ -14,14 +14,14 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.base.storage import StorageUrl, find_objects
 from fourd.pipeline.stage import Context, Leftovers, NoSettings, Stage
 from fourd.pipeline.stored.cache import CACHE_VARIABLE, cache_folder
 from fourd.pipeline.stored.manifest import Manifest
 from fourd.pipeline.stored.unfinished import SUFFIX, _checkpoints
 from fourd.pipeline.stored.unit import UnitFiles, unit_stage
 from fourd.pipeline.stored.work_store import WorkStore
-from fourd.storage import StorageUrl, find_objects
 from tests.captures import write_ball_capture
 from tests.storage.s3_server import Bucket, put_folder
 from tests.storage.test_work import Machines as CommandMachines

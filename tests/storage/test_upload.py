@@ -12,9 +12,9 @@ from typing import TypeVar
 
 import pytest
 
-from fourd.errors import UserError
-from fourd.progress import Track
-from fourd.storage import StorageUrl, check_writable, fetch, local_output, open_object, upload, upload_changed
+from fourd.base.errors import UserError
+from fourd.base.progress import Track
+from fourd.base.storage import StorageUrl, check_writable, fetch, local_output, open_object, upload, upload_changed
 from tests.storage.s3_server import Bucket, S3Server, unfinished_uploads
 
 Item = TypeVar("Item")
@@ -23,9 +23,9 @@ MEGABYTE = 1 << 20
 STOP_AFTER_THE_SECOND_PART = """
 import sys, time
 from pathlib import Path
-from fourd.storage import StorageUrl, upload
-import fourd.storage.uploading
-fourd.storage.uploading.PART_BYTES = 5 << 20
+from fourd.base.storage import StorageUrl, upload
+import fourd.base.storage.uploading
+fourd.base.storage.uploading.PART_BYTES = 5 << 20
 
 def track(items, count, what):
     for item in items:
@@ -66,7 +66,7 @@ def test_uploads_have_all_bytes(bucket: Bucket, tmp_path: Path, monkeypatch: pyt
     """Catches a failed upload of an empty file, which cannot be a multipart upload. Also catches an uploaded object
     whose last part is missing.
     """
-    monkeypatch.setattr("fourd.storage.uploading.PART_BYTES", 5 * MEGABYTE)
+    monkeypatch.setattr("fourd.base.storage.uploading.PART_BYTES", 5 * MEGABYTE)
     path = tmp_path / "scene.4dv"
     path.write_bytes(os.urandom(size))
     upload(path, StorageUrl(f"{bucket.url}/scene.4dv"))
@@ -76,7 +76,7 @@ def test_uploads_have_all_bytes(bucket: Bucket, tmp_path: Path, monkeypatch: pyt
 
 def test_a_failed_upload_leaves_no_parts(bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches parts that stay in the bucket after Ctrl-C or an error. Such parts cost money."""
-    monkeypatch.setattr("fourd.storage.uploading.PART_BYTES", 5 * MEGABYTE)
+    monkeypatch.setattr("fourd.base.storage.uploading.PART_BYTES", 5 * MEGABYTE)
     bucket.files.pipe_file(f"{bucket.name}/scene.4dv", b"old")
 
     def interrupt(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
@@ -110,7 +110,7 @@ def test_a_lost_connection_leaves_the_old_object(
     bucket: Bucket, new_connections: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Catches a traceback and a lost object if the store stops during an upload."""
-    monkeypatch.setattr("fourd.storage.uploading.PART_BYTES", 5 * MEGABYTE)
+    monkeypatch.setattr("fourd.base.storage.uploading.PART_BYTES", 5 * MEGABYTE)
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     other = S3Server.start()
     monkeypatch.setenv("AWS_ENDPOINT_URL", other.endpoint)
@@ -172,7 +172,7 @@ def test_an_unchanged_scene_is_not_uploaded_again(
         uploads.append(url)
         upload(path, url, track)
 
-    monkeypatch.setattr("fourd.storage.uploading.upload", count)
+    monkeypatch.setattr("fourd.base.storage.uploading.upload", count)
     upload_changed(path, url, record)
     assert not uploads
     bucket.files.pipe_file(key, b"other")

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from fourd.baking import SceneWriter
+from fourd.base.errors import UserError
+from fourd.base.storage import StorageUrl, check_writable, open_object, parse_location
 from fourd.cli.main import main
-from fourd.errors import UserError
-from fourd.storage import StorageUrl, check_writable, open_object, parse_location
+from fourd.scene import SceneWriter
 from tests.baking.scenes import manifest
 
 

@@ -15,15 +15,15 @@ from threading import Event
 
 import pytest
 
+from fourd.base.errors import UserError
+from fourd.base.storage import StorageUrl
 from fourd.cli.main import main
-from fourd.errors import UserError
 from fourd.pipeline.fetch import FetchSettings
 from fourd.pipeline.stage import Context, Stage
 from fourd.pipeline.stored.cache import CACHE_VARIABLE, Cache, Started, cache_folder
 from fourd.pipeline.stored.manifest import FileEntry, Manifest, parse_manifest
 from fourd.pipeline.stored.unit import UnitFiles, unit_stage
 from fourd.pipeline.stored.work_store import WorkStore
-from fourd.storage import StorageUrl
 from tests.captures import write_ball_capture
 from tests.matting.captures import write_capture_without_masks, write_video
 from tests.pipeline.test_stage import copy_stage
@@ -38,10 +38,10 @@ SEGMENTS = ("--segment", "4", "--set", "segments.overlap=1")
 
 KILLED_IN_UPLOAD = """
 import os, signal, sys
-import fourd.storage.connection, fourd.storage.uploading
+import fourd.base.storage.connection, fourd.base.storage.uploading
 from fourd.cli.main import main
 
-send, sent = fourd.storage.uploading._upload, []
+send, sent = fourd.base.storage.uploading._upload, []
 
 def upload(store, path, url, track):
     if "/units/carve/" in str(url):
@@ -50,8 +50,8 @@ def upload(store, path, url, track):
             os.kill(os.getpid(), signal.SIGKILL)
     send(store, path, url, track)
 
-fourd.storage.uploading._upload = upload
-fourd.storage.connection.CONNECTIONS = 1
+fourd.base.storage.uploading._upload = upload
+fourd.base.storage.connection.CONNECTIONS = 1
 main(sys.argv[1:])
 """
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.ops.stylize.parameters import Numbers, StyleParameters, Surface
+from fourd.rendering.ops.stylize.parameters import Numbers, StyleParameters, Surface
 
 FOCAL = 200.0
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fourd.stylize.normals import Visibility, decode_octahedral, encode_octahedral, estimate_normals
+from fourd.scene.styles.normals import Visibility, decode_octahedral, encode_octahedral, estimate_normals
 
 
 def unit_vectors(rng: np.random.Generator, count: int) -> np.ndarray:

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.cameras import Camera
-from fourd.configs import load_overlay, to_yaml
-from fourd.errors import UserError
-from fourd.stylize import PRESETS, Style, load_style, view_style
-from fourd.stylize.styles import DetailAxis, LineSettings, Ramp
-from fourd.stylize.tables import make_table
+from fourd.base.cameras import Camera
+from fourd.base.configs import load_overlay, to_yaml
+from fourd.base.errors import UserError
+from fourd.scene.styles import PRESETS, Style, load_style, view_style
+from fourd.scene.styles.styles import DetailAxis, LineSettings, Ramp
+from fourd.scene.styles.tables import make_table
 from tests.baking.scenes import ring
 
 CAMERA: Camera = ring(1, size=108)[0]

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from fourd.sync.motion import (
+from fourd.recording.sync.motion import (
     LABEL,
     LAG_TOLERANCE_FRAMES,
     MARGIN,
@@ -23,7 +23,7 @@ from fourd.sync.motion import (
     motion_energy,
     plot_offsets,
 )
-from fourd.sync.pairs import solve_offsets
+from fourd.recording.sync.pairs import solve_offsets
 
 CAPTURES = Path(__file__).parents[2].parent / "shared" / "captures"
 Array = NDArray[np.float64]

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.signal import resample_poly
 
-from fourd.capture import open_capture, write_calibration
+from fourd.base.errors import UserError
 from fourd.cli.main import main
-from fourd.errors import UserError
-from fourd.importing.importer import ImportOptions
-from fourd.sync.sound import Soundtrack, estimate_sound_offsets, read_soundtrack, travel_times
+from fourd.recording.capture import open_capture, write_calibration
+from fourd.recording.importing.importer import ImportOptions
+from fourd.recording.sync.sound import Soundtrack, estimate_sound_offsets, read_soundtrack, travel_times
 from tests.capture.numbered_videos import number_of
 from tests.importing.test_importer import NAMES, run_import
 from tests.importing.test_phone_videos import calibrations

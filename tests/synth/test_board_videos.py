@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.boards import read_board
-from fourd.capture.calibration import read_calibration
-from fourd.capture.video import VideoReader, index_video
 from fourd.cli.main import main
-from fourd.synth.board_render import BoardPose, BoardRenderer, Optics
-from fourd.synth.board_videos import BOARD, BoardSettings, board_pose, rig_cameras
+from fourd.recording.boards import read_board
+from fourd.recording.capture.calibration import read_calibration
+from fourd.recording.capture.video import VideoReader, index_video
+from fourd.recording.synth.board_render import BoardPose, BoardRenderer, Optics
+from fourd.recording.synth.board_videos import BOARD, BoardSettings, board_pose, rig_cameras
 
 
 def test_the_command_writes_videos_and_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

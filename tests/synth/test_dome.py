@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.capture import open_capture
 from fourd.cli.main import main
-from fourd.synth.dome import DomeSettings, make_dome, suggested_test_views
-from fourd.synth.dome.generate import record_colours
-from fourd.synth.dome.people import lap_angle, lowest_height, make_cast, pose_cast
-from fourd.synth.dome.rig import make_rig, visible_fixtures
-from fourd.synth.dome.room import CEILING, CENTRE, RADIUS, make_room, render_room
-from fourd.synth.render import composite_parts
+from fourd.recording.capture import open_capture
+from fourd.recording.synth.dome import DomeSettings, make_dome, suggested_test_views
+from fourd.recording.synth.dome.generate import record_colours
+from fourd.recording.synth.dome.people import lap_angle, lowest_height, make_cast, pose_cast
+from fourd.recording.synth.dome.rig import make_rig, visible_fixtures
+from fourd.recording.synth.dome.room import CEILING, CENTRE, RADIUS, make_room, render_room
+from fourd.recording.synth.render import composite_parts
 
 Array = NDArray[np.float64]
 SMALL = DomeSettings(frames=2, cameras=6, size=80)

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.cameras import Camera, look_at
-from fourd.capture import open_capture
+from fourd.base.cameras import Camera, look_at
+from fourd.base.errors import UserError
 from fourd.cli.main import main
-from fourd.errors import UserError
-from fourd.synth import make_synthetic
-from fourd.synth import render as render_module
-from fourd.synth.figure import Part, make_figure, pose_figure
-from fourd.synth.patterns import Pattern
-from fourd.synth.render import render_figure
+from fourd.recording.capture import open_capture
+from fourd.recording.synth import make_synthetic
+from fourd.recording.synth import render as render_module
+from fourd.recording.synth.figure import Part, make_figure, pose_figure
+from fourd.recording.synth.patterns import Pattern
+from fourd.recording.synth.render import render_figure
 
 SMALL = {"frames": 3, "cameras": 4, "size": 72}
 

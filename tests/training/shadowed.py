@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.cameras import Camera
-from fourd.capture import write_calibration
-from fourd.formats.ply import write_ply
-from fourd.ops.points.arrays import render_points_numpy
-from fourd.training.config import TrainConfig
+from fourd.base.cameras import Camera
+from fourd.base.formats.ply import write_ply
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.recording.capture import write_calibration
+from fourd.rendering.ops.points.arrays import render_points_numpy
 from tests.captures import ring_cameras, sphere
 from tests.training.small import full_config
 

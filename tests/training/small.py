@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from fourd.formats.ply import write_ply
-from fourd.model.config import ModelConfig, PlanesConfig
+from fourd.base.formats.ply import write_ply
 from fourd.pipeline.make import create_run
-from fourd.training.config import BackgroundConfig, DensifyConfig, RefineConfig, TrainConfig
-from fourd.training.loop import Trainer, TrainSummary
-from fourd.training.run import Run
+from fourd.reconstruction.model.config import ModelConfig, PlanesConfig
+from fourd.reconstruction.training.config import BackgroundConfig, DensifyConfig, RefineConfig, TrainConfig
+from fourd.reconstruction.training.loop import Trainer, TrainSummary
+from fourd.reconstruction.training.run import Run
 from tests.captures import sphere
 
 SMALL = TrainConfig(

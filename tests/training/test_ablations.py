@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from fourd.baking.bake import bake_run
-from fourd.configs import load_overlay
-from fourd.errors import UserError
-from fourd.training.run import load_run
+from fourd.base.configs import load_overlay
+from fourd.base.errors import UserError
+from fourd.reconstruction.training.run import load_run
+from fourd.scene.bake import bake_run
 from tests.training.small import SMALL, quiet, trained_run, with_steps
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.cameras import look_at
-from fourd.errors import UserError
-from fourd.model.appearance import blend, mix_own_colours
+from fourd.base.cameras import look_at
+from fourd.base.errors import UserError
 from fourd.pipeline.make import create_run
-from fourd.training.background import CACHED_STEPS, outside_all_images
-from fourd.training.occlusion import occlusion_depth, surface_depth
-from fourd.training.points.frame_points import FramePoints
-from fourd.training.rendering import RenderablePoints, composite, visible_points
-from fourd.training.run import Run, load_run
+from fourd.reconstruction.model.appearance import blend, mix_own_colours
+from fourd.reconstruction.training.background import CACHED_STEPS, outside_all_images
+from fourd.reconstruction.training.occlusion import occlusion_depth, surface_depth
+from fourd.reconstruction.training.points.frame_points import FramePoints
+from fourd.reconstruction.training.rendering import RenderablePoints, composite, visible_points
+from fourd.reconstruction.training.run import Run, load_run
 from tests.captures import ring_cameras
 from tests.training.small import full_config, trained_run
 

@@ -19,9 +19,9 @@ from safetensors import SafetensorError
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from fourd.errors import UserError
-from fourd.training import checkpoints
-from fourd.training.checkpoints import (
+from fourd.base.errors import UserError
+from fourd.reconstruction.training import checkpoints
+from fourd.reconstruction.training.checkpoints import (
     checkpoint_path,
     latest_checkpoint,
     load_checkpoint,
@@ -163,8 +163,8 @@ def raise_disk_full(*_: object) -> None:
 @pytest.mark.parametrize(
     ("target", "fault"),
     [
-        ("fourd.training.checkpoints.save_file", save_to_full_disk),
-        ("fourd.training.checkpoints.save_file", save_half),
+        ("fourd.reconstruction.training.checkpoints.save_file", save_to_full_disk),
+        ("fourd.reconstruction.training.checkpoints.save_file", save_half),
         ("os.fsync", raise_disk_full),
         ("os.replace", raise_disk_full),
     ],
@@ -199,7 +199,7 @@ def test_an_unwritable_folder_is_not_reported_as_a_full_disk(tmp_path: Path) -> 
 KILLED = """
 import itertools, sys, torch
 from pathlib import Path
-from fourd.training.checkpoints import save_checkpoint
+from fourd.reconstruction.training.checkpoints import save_checkpoint
 for step in itertools.count(1):
     save_checkpoint(Path(sys.argv[1]), step, {"a": torch.full((200_000,), float(step))}, {"step": step})
     print(step, flush=True)

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.errors import UserError
-from fourd.ops.gpu import CPU, choose_device, has_gpu
+from fourd.base.errors import UserError
 from fourd.pipeline.make import create_run
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.train import train_run
-from fourd.training.config import RefineConfig, TrainConfig
-from fourd.training.loop import Trainer
-from fourd.training.occlusion import _maximum_filter
-from fourd.training.run import load_run, open_run
+from fourd.reconstruction.training.config import RefineConfig, TrainConfig
+from fourd.reconstruction.training.loop import Trainer
+from fourd.reconstruction.training.occlusion import _maximum_filter
+from fourd.reconstruction.training.run import load_run, open_run
+from fourd.rendering.ops.gpu import CPU, choose_device, has_gpu
 from tests.fake_gpu import FAKE_GPU, fake_gpu
 from tests.training.small import SMALL, full_config, quiet, with_steps
 

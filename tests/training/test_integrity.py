@@ -13,12 +13,12 @@ import pytest
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
+from fourd.base.errors import UserError
 from fourd.cli.main import main
-from fourd.errors import UserError
-from fourd.training.checkpoints import _checksum, load_checkpoint, verify_checkpoint
-from fourd.training.loop import Trainer
-from fourd.training.run import Run, load_run, open_run
-from fourd.training.run_layout import checkpoint_files, points_folder
+from fourd.reconstruction.training.checkpoints import _checksum, load_checkpoint, verify_checkpoint
+from fourd.reconstruction.training.loop import Trainer
+from fourd.reconstruction.training.run import Run, load_run, open_run
+from fourd.reconstruction.training.run_layout import checkpoint_files, points_folder
 from tests.training.small import quiet, train, trained_run, with_steps
 
 

@@ -17,14 +17,14 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from fourd.errors import UserError
-from fourd.formats.ply import read_ply, write_ply
+from fourd.base.errors import UserError
+from fourd.base.formats.ply import read_ply, write_ply
 from fourd.pipeline.make import create_run
-from fourd.training.loop import Trainer
-from fourd.training.losses.mask import MaskTerm
-from fourd.training.losses.term import RenderedStep
-from fourd.training.run import load_run, open_run
-from fourd.training.step import StepResult
+from fourd.reconstruction.training.loop import Trainer
+from fourd.reconstruction.training.losses.mask import MaskTerm
+from fourd.reconstruction.training.losses.term import RenderedStep
+from fourd.reconstruction.training.run import load_run, open_run
+from fourd.reconstruction.training.step import StepResult
 from tests.training.small import SMALL, full_config, quiet, train, trained_run, with_steps
 
 

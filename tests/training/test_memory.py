@@ -9,7 +9,7 @@ import pytest
 
 PROGRAM = """
 import ctypes
-from fourd.training.memory import HeapTrimmer, retain_freed_memory, resident_bytes
+from fourd.reconstruction.training.memory import HeapTrimmer, retain_freed_memory, resident_bytes
 
 def use_and_free(library, mebibytes):
     blocks = [library.malloc(ctypes.c_size_t(2**20)) for _ in range(mebibytes)]

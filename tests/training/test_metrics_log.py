@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from fourd.errors import UserError
-from fourd.training.metrics_log import MetricsLog
+from fourd.base.errors import UserError
+from fourd.reconstruction.training.metrics_log import MetricsLog
 
 
 def records(folder: Path) -> list[dict[str, object]]:

@@ -7,10 +7,10 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from fourd.cameras import Camera, look_at, select_views
-from fourd.model.config import ModelConfig
-from fourd.training.config import RateConfig, TrainConfig
-from fourd.training.schedule import StepSampler, budget_spent, rate_factor
+from fourd.base.cameras import Camera, look_at, select_views
+from fourd.reconstruction.model.config import ModelConfig
+from fourd.reconstruction.training.config import RateConfig, TrainConfig
+from fourd.reconstruction.training.schedule import StepSampler, budget_spent, rate_factor
 
 INTRINSICS = np.array([[40.0, 0, 16], [0, 40, 16], [0, 0, 1]])
 

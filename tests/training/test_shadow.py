@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.training.run import load_run
+from fourd.reconstruction.training.run import load_run
 from tests.training.shadowed import FRAMES, picture, shadowed_config, write_shadowed_capture
 from tests.training.small import trained_run
 

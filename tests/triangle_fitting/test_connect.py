@@ -8,9 +8,9 @@ import pytest
 import torch
 import trimesh
 
-from fourd.carving.hull import Silhouettes
-from fourd.triangle_fitting.connect import close_holes, connect_triangles, visible_points
-from fourd.triangle_fitting.neighbours import Neighbours, smoothness_loss
+from fourd.reconstruction.carving.hull import Silhouettes
+from fourd.reconstruction.meshes.triangle_fitting.connect import close_holes, connect_triangles, visible_points
+from fourd.reconstruction.meshes.triangle_fitting.neighbours import Neighbours, smoothness_loss
 from tests.captures import ring_cameras
 
 RADIUS = 0.4

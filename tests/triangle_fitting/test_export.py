@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from fourd.errors import UserError
-from fourd.formats.glb import read_glb, srgb_to_linear
-from fourd.triangle_fitting.export import check_format, write_mesh
-from fourd.triangle_fitting.opaque import ColouredMesh
+from fourd.base.errors import UserError
+from fourd.base.formats.glb import read_glb, srgb_to_linear
+from fourd.reconstruction.meshes.triangle_fitting.export import check_format, write_mesh
+from fourd.reconstruction.meshes.triangle_fitting.opaque import ColouredMesh
 
 
 def coloured_box() -> ColouredMesh:

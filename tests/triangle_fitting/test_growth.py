@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from fourd.cameras import Camera, look_at
-from fourd.triangle_fitting.adam import AdamRows
-from fourd.triangle_fitting.growth import longest_edges_px, prune_and_grow
-from fourd.triangle_fitting.soup import Soup
+from fourd.base.cameras import Camera, look_at
+from fourd.reconstruction.meshes.triangle_fitting.adam import AdamRows
+from fourd.reconstruction.meshes.triangle_fitting.growth import longest_edges_px, prune_and_grow
+from fourd.reconstruction.meshes.triangle_fitting.soup import Soup
 
 INTRINSICS = np.array([[100.0, 0, 50], [0, 100.0, 50], [0, 0, 1]])
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from fourd.triangle_fitting.schedule import Budget, phase_at, surface_rate
-from fourd.triangle_fitting.settings import TriangleSettings
+from fourd.reconstruction.meshes.triangle_fitting.schedule import Budget, phase_at, surface_rate
+from fourd.reconstruction.meshes.triangle_fitting.settings import TriangleSettings
 
 
 def test_triangles_end_opaque() -> None:
@@ -26,7 +26,7 @@ def test_triangles_end_opaque() -> None:
 def test_the_first_limit_ends_the_budget(monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a limit of steps or seconds that is ignored if both limits are given, and a pause that uses up time."""
     clock = [0.0]
-    monkeypatch.setattr("fourd.triangle_fitting.schedule.monotonic", lambda: clock[0])
+    monkeypatch.setattr("fourd.reconstruction.meshes.triangle_fitting.schedule.monotonic", lambda: clock[0])
     budget = Budget(10, 100.0)
     assert budget.share == 0
     budget.steps = 5

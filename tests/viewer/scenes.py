@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.baking import BakedFrame, SceneWriter
+from fourd.scene import BakedFrame, SceneWriter
 from tests.baking.scenes import manifest, random_frame
 
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.baking import SceneWriter, combine_frames, open_scene
-from fourd.cameras import Camera, look_at
+from fourd.base.cameras import Camera, look_at
 from fourd.cli.main import main
+from fourd.scene import SceneWriter, combine_frames, open_scene
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.depth_order import ExactOrders

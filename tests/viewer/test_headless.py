@@ -16,9 +16,9 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from fourd.baking import SceneWriter, open_scene
-from fourd.baking.scene import FORMAT_VERSION
 from fourd.cli.main import main
+from fourd.scene import SceneWriter, open_scene
+from fourd.scene.scene import FORMAT_VERSION
 from fourd.viewer.navigation.pose import pose_from_camera
 from fourd.viewer.navigation.recorded_path import PathSample, RecordedPath
 from fourd.viewer.rendering.offscreen import OffscreenRenderer

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.baking import SceneReader
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.scene import SceneReader
 from fourd.viewer.display import DisplaySettings
 from fourd.viewer.playback.sources import RunSource, open_frame_source
 from fourd.viewer.rendering.offscreen import OffscreenRenderer
@@ -184,8 +184,8 @@ def test_a_run_shows_its_newest_checkpoint(ball_capture: Path, tmp_path: Path, m
 
 def test_a_run_s_frames_equal_those_of_its_export(ball_capture: Path, tmp_path: Path) -> None:
     """Catches a live view of a run whose cameras, colours or shading differ from the exported scene."""
-    from fourd.baking.bake import bake_run
-    from fourd.training.run import load_run
+    from fourd.reconstruction.training.run import load_run
+    from fourd.scene.bake import bake_run
     from tests.training.small import quiet
 
     run = trained_run(ball_capture, tmp_path / "run")
@@ -211,7 +211,7 @@ def test_invalid_values_of_a_failed_training_raise(
         frame.radius[3] = np.nan
         return frame
 
-    monkeypatch.setattr("fourd.baking.bake.bake_frame", bake_invalid)
+    monkeypatch.setattr("fourd.scene.bake.bake_frame", bake_invalid)
     with pytest.raises(UserError, match="expected valid values of radius in frame 0 at step 6, got NaN, infinity or"):
         source.read(0)
 
@@ -237,7 +237,7 @@ def test_memory_stays_flat_over_many_frames_and_openings(tmp_path: Path) -> None
     """
     import os
 
-    from fourd.training.memory import resident_bytes
+    from fourd.reconstruction.training.memory import resident_bytes
 
     write_scene(tmp_path / "long.4dv", frames=50, points=4000)
     session = Session(DisplaySettings())

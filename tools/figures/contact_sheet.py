@@ -18,13 +18,13 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from fourd.baking import Scene, open_scene
-from fourd.baking.player import Player
-from fourd.baking.styled.player import StyledPlayer
-from fourd.cameras import Camera
-from fourd.errors import UserError
-from fourd.files import atomic_path
-from fourd.stylize import PRESETS, Style, load_style
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
+from fourd.base.files import atomic_path
+from fourd.scene import Scene, open_scene
+from fourd.scene.player import Player
+from fourd.scene.styled.player import StyledPlayer
+from fourd.scene.styles import PRESETS, Style, load_style
 from fourd.viewer.navigation.paths import camera_path
 from fourd.viewer.output.video import write_video
 

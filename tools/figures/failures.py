@@ -14,12 +14,12 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from fourd.cameras import Camera
-from fourd.capture import Capture, open_capture
-from fourd.carving.bounds import Bounds, find_bounds
-from fourd.carving.carve import carve_frame
-from fourd.errors import UserError
-from fourd.synth.generate import make_synthetic
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
+from fourd.reconstruction.carving.bounds import Bounds, find_bounds
+from fourd.reconstruction.carving.carve import carve_frame
+from fourd.recording.capture import Capture, open_capture
+from fourd.recording.synth.generate import make_synthetic
 
 Picture = NDArray[np.uint8]
 

@@ -14,10 +14,10 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from fourd.cameras import Camera
-from fourd.capture import open_capture
-from fourd.training.evaluation.metrics import mask_box
-from fourd.triangle_fitting.opaque import ColouredMesh, mesh_image
+from fourd.base.cameras import Camera
+from fourd.reconstruction.meshes.triangle_fitting.opaque import ColouredMesh, mesh_image
+from fourd.reconstruction.training.evaluation.metrics import mask_box
+from fourd.recording.capture import open_capture
 
 HEIGHT_PX, GAP_PX = 420, 12
 

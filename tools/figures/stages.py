@@ -14,10 +14,10 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from fourd.baking.rendering import Scene, open_scene
-from fourd.cameras import Camera
-from fourd.capture import open_capture
-from fourd.formats.ply import read_ply
+from fourd.base.cameras import Camera
+from fourd.base.formats.ply import read_ply
+from fourd.recording.capture import open_capture
+from fourd.scene.rendering import Scene, open_scene
 from fourd.viewer.navigation.paths import orbit
 
 Picture = NDArray[np.uint8]

@@ -14,12 +14,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from fourd.cameras import Camera, look_at
-from fourd.formats.glb_mesh import read_glb_mesh
-from fourd.mesh.rendering import render_mesh
-from fourd.mesh.texturing.texture import TexturedMesh, read_textured_mesh
-from fourd.mesh.views import clip_positions
-from fourd.raster.triangles import interpolate, rasterize
+from fourd.base.cameras import Camera, look_at
+from fourd.base.formats.glb_mesh import read_glb_mesh
+from fourd.reconstruction.meshes.rendering import render_mesh
+from fourd.reconstruction.meshes.texturing.texture import TexturedMesh, read_textured_mesh
+from fourd.reconstruction.meshes.views import clip_positions
+from fourd.rendering.triangles import interpolate, rasterize
 
 SIDE_PX, STEPS, SAMPLES, GREY = 300, 6, 3, 0.93
 ELEVATION = 0.25

@@ -17,9 +17,9 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.capture import open_capture, write_calibration
-from fourd.capture.layout import VIDEOS, sample_indices
-from fourd.files import atomic_path
+from fourd.base.files import atomic_path
+from fourd.recording.capture import open_capture, write_calibration
+from fourd.recording.capture.layout import VIDEOS, sample_indices
 
 Picture = NDArray[np.uint8]
 

@@ -26,7 +26,7 @@ from pathlib import Path
 
 import tyro
 
-from fourd.files import write_text_atomically
+from fourd.base.files import write_text_atomically
 
 ROOT = Path(__file__).resolve().parents[2]
 STORED = ROOT / "csrc" / "fuzz" / "corpus.txt"

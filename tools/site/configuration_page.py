@@ -12,9 +12,9 @@ import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
-from fourd.configs import to_yaml
-from fourd.files import write_text_atomically
-from fourd.training.config import TrainConfig
+from fourd.base.configs import to_yaml
+from fourd.base.files import write_text_atomically
+from fourd.reconstruction.training.config import TrainConfig
 
 PAGE = Path(__file__).parents[2] / "docs" / "configuration.md"
 HEAD = """# Configuration

@@ -7,7 +7,7 @@ from typing import Any
 
 import moderngl
 
-from fourd.errors import UserError
+from fourd.base.errors import UserError
 
 REQUIRED_VERSION = 330
 

@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking import BakedFrame
-from fourd.baking.depth_order import DepthSorter
-from fourd.cameras import Camera
+from fourd.base.cameras import Camera
+from fourd.scene import BakedFrame
+from fourd.scene.depth_order import DepthSorter
 from fourd.viewer.display import RenderRequest
 
 

@@ -10,9 +10,9 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.shade import select_source_views
-from fourd.cameras import Camera
-from fourd.errors import UserError
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
+from fourd.scene.shade import select_source_views
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.context import driver_info
 from fourd.viewer.gl.frame_textures import FrameTextures

@@ -12,9 +12,9 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking import BakedFrame
-from fourd.baking.attributes import ATTRIBUTES, Attribute
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.scene import BakedFrame
+from fourd.scene.attributes import ATTRIBUTES, Attribute
 from fourd.viewer.gl.context import driver_info
 from fourd.viewer.gl.shaders import TEXELS_PER_ROW
 

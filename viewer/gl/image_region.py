@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking import BakedFrame
+from fourd.scene import BakedFrame
 from fourd.viewer.display import RenderRequest
 
 _BLOCK = 64

@@ -8,7 +8,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking import BakedFrame
+from fourd.scene import BakedFrame
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.compositors import Compositor

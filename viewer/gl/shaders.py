@@ -7,7 +7,7 @@ from typing import Any
 
 import moderngl
 
-from fourd.ops.play.op import MIN_TRANSMITTANCE
+from fourd.rendering.ops.play.op import MIN_TRANSMITTANCE
 from fourd.viewer.shader_files import read_shader
 
 TEXELS_PER_ROW = 4096

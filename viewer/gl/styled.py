@@ -10,12 +10,12 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking import BakedFrame, SceneManifest
-from fourd.baking.styled.normals import FrameNormals
-from fourd.baking.styled.player import is_same_camera
-from fourd.cameras import Camera
-from fourd.stylize import Style, view_style
-from fourd.stylize.tables import make_table
+from fourd.base.cameras import Camera
+from fourd.scene import BakedFrame, SceneManifest
+from fourd.scene.styled.normals import FrameNormals
+from fourd.scene.styled.player import is_same_camera
+from fourd.scene.styles import Style, view_style
+from fourd.scene.styles.tables import make_table
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.compositors import Compositor, OverBackground
 from fourd.viewer.gl.discs import PAINTS, Paint
@@ -87,7 +87,7 @@ class SurfaceBuffer:
 
 
 class StyledDrawing:
-    """Draws requests in their style. As with :class:`fourd.baking.styled.player.StyledPlayer`, lines do not flicker in
+    """Draws requests in their style. As with :class:`fourd.scene.styled.player.StyledPlayer`, lines do not flicker in
     successive images from the same camera."""
 
     def __init__(self, context: moderngl.Context) -> None:

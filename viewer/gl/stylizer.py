@@ -1,4 +1,4 @@
-"""Stylizes images in OpenGL, with the formulas of :mod:`fourd.ops.stylize.parameters` as fragment passes."""
+"""Stylizes images in OpenGL, with the formulas of :mod:`fourd.rendering.ops.stylize.parameters` as fragment passes."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.ops.stylize.parameters import DETAILS, LINE_FILTERS, TONES, StyleParameters, speck_reach
-from fourd.ops.stylize.reference import remove_specks
+from fourd.rendering.ops.stylize.parameters import DETAILS, LINE_FILTERS, TONES, StyleParameters, speck_reach
+from fourd.rendering.ops.stylize.reference import remove_specks
 from fourd.viewer.gl.passes import FullScreenPass, RenderTargets, disable_blending
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceTextures:
-    """Textures of a visible surface, with the layout of :class:`fourd.ops.stylize.parameters.Surface`. Row 0 of a
-    texture is the top of the image."""
+    """Textures of a visible surface, with the layout of :class:`fourd.rendering.ops.stylize.parameters.Surface`. Row 0
+    of a texture is the top of the image."""
 
     albedo: moderngl.Texture
     inverse_depth: moderngl.Texture
@@ -50,7 +50,8 @@ class GLStylizer:
     @property
     def line_state(self) -> moderngl.Texture:
         """The lines of the last image, with one uint32 per pixel in the layout of
-        :func:`fourd.ops.stylize.op.stylize_surface`. They include specks (very short lines), which are not drawn."""
+        :func:`fourd.rendering.ops.stylize.op.stylize_surface`. They include specks (very short lines), which are not
+        drawn."""
         return self._targets.texture(f"lines {self._last}")
 
     def resize(self, size: tuple[int, int]) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from fourd.cameras import Camera, estimate_up, look_at
+from fourd.base.cameras import Camera, estimate_up, look_at
 
 Array = NDArray[np.float64]
 Bounds = tuple[Sequence[float], Sequence[float]]

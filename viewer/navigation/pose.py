@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.cameras import Camera, look_at
+from fourd.base.cameras import Camera, look_at
 
 Array = NDArray[np.float64]
 

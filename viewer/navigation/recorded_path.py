@@ -6,9 +6,9 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.errors import UserError
-from fourd.files import write_text_atomically
-from fourd.limits import read_json
+from fourd.base.errors import UserError
+from fourd.base.files import write_text_atomically
+from fourd.base.limits import read_json
 from fourd.viewer.navigation.pose import Pose
 from fourd.viewer.navigation.saved_views import pose_from_json, pose_to_json
 

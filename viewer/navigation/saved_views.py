@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import platformdirs
 
-from fourd.files import write_text_atomically
-from fourd.limits import read_json
+from fourd.base.files import write_text_atomically
+from fourd.base.limits import read_json
 from fourd.viewer.navigation.pose import Pose
 
 _MAX_SCENES = 200

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.files import write_bytes_atomically
+from fourd.base.files import write_bytes_atomically
 
 
 def write_png(path: Path, rgb: NDArray[np.uint8]) -> None:

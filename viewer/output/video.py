@@ -13,8 +13,8 @@ import av.filter
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.errors import UserError
-from fourd.files import atomic_path, remove_unfinished_file
+from fourd.base.errors import UserError
+from fourd.base.files import atomic_path, remove_unfinished_file
 
 # The value 1 stands for BT.709 as the matrix, the primaries and the transfer function (ITU-T H.273). As FFmpeg's
 # color_range, it stands for limited range.

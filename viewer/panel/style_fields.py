@@ -9,9 +9,9 @@ from typing import TypeVar, get_args
 
 from imgui_bundle import imgui
 
-from fourd.ops.stylize.parameters import DETAILS, LINE_FILTERS, MAX_THICKNESS, Triple
-from fourd.stylize import Style
-from fourd.stylize.styles import Light, LightFrame, Ramp, ShadingKind, Stop
+from fourd.rendering.ops.stylize.parameters import DETAILS, LINE_FILTERS, MAX_THICKNESS, Triple
+from fourd.scene.styles import Style
+from fourd.scene.styles.styles import Light, LightFrame, Ramp, ShadingKind, Stop
 
 SHADINGS: tuple[ShadingKind, ...] = get_args(ShadingKind)
 _FRAMES: tuple[LightFrame, ...] = get_args(LightFrame)

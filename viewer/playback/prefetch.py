@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from itertools import islice
 from typing import Protocol
 
-from fourd.baking import BakedFrame, SceneManifest
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.scene import BakedFrame, SceneManifest
 
 BUFFER_BYTES = 384 << 20
 _MIN_FRAMES = 2

@@ -6,16 +6,16 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fourd.baking import BakedFrame, SceneManifest, SceneReader, combine_frames
-from fourd.baking.meshes.source import is_mesh
-from fourd.baking.splats.reader import is_splats, open_reader
-from fourd.errors import UserError, command_line
-from fourd.storage import Location, StorageUrl
-from fourd.training.run_layout import newest_checkpoint
+from fourd.base.errors import UserError, command_line
+from fourd.base.storage import Location, StorageUrl
+from fourd.reconstruction.training.run_layout import newest_checkpoint
+from fourd.scene import BakedFrame, SceneManifest, SceneReader, combine_frames
+from fourd.scene.meshes.source import is_mesh
+from fourd.scene.splats.reader import is_splats, open_reader
 from fourd.viewer.playback.prefetch import BakedFrameSource
 
 if TYPE_CHECKING:
-    from fourd.training.run import TrainedRun
+    from fourd.reconstruction.training.run import TrainedRun
 
 _NICENESS = 10
 
@@ -28,7 +28,7 @@ class RunSource:
     """
 
     def __init__(self, folder: Path) -> None:
-        from fourd.baking.bake import make_manifest, require_bakeable
+        from fourd.scene.bake import make_manifest, require_bakeable
 
         _lower_priority()
         self._folder = folder
@@ -58,7 +58,7 @@ class RunSource:
     def _bake(self, index: int) -> BakedFrame:
         import torch
 
-        from fourd.baking.bake import bake_background, bake_frame, select_baked_views
+        from fourd.scene.bake import bake_background, bake_frame, select_baked_views
 
         trained = self._load_newest()
         views = select_baked_views(trained.run)
@@ -78,7 +78,7 @@ class RunSource:
         return frame
 
     def _load_newest(self) -> TrainedRun:
-        from fourd.training.run import load_run
+        from fourd.reconstruction.training.run import load_run
 
         if self._trained is None or self.checkpoint != f"{self._trained.step:08d}.safetensors":
             self._trained = load_run(self._folder)

@@ -11,11 +11,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from fourd.baking.files.encoding import Tier
-from fourd.errors import UserError
-from fourd.progress import Tracker
-from fourd.stylize import Style
-from fourd.training.run_layout import newest_checkpoint, segment_folders
+from fourd.base.errors import UserError
+from fourd.base.progress import Tracker
+from fourd.reconstruction.training.run_layout import newest_checkpoint, segment_folders
+from fourd.scene.files.encoding import Tier
+from fourd.scene.styles import Style
 from fourd.viewer.publish.site import POSTER_NAME, SCENE_NAME, copy_player, write_poster, write_scene
 
 _POLL_SECONDS = 2.0
@@ -142,7 +142,7 @@ class LiveSite:
 
 def _bake(run: Path, scene: Path, console: Console) -> None:
     """Bake the newest checkpoint of a run. The imports are local, because only runs need torch."""
-    from fourd.baking.bake import bake_run
-    from fourd.training.segments.segmented_run import open_trained
+    from fourd.reconstruction.training.segments.segmented_run import open_trained
+    from fourd.scene.bake import bake_run
 
     bake_run(open_trained(run), scene, console)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 from urllib.parse import unquote, urlsplit
 
-from fourd.errors import UserError
+from fourd.base.errors import UserError
 
 CONTENT_TYPES = {
     ".html": "text/html; charset=utf-8",

@@ -10,16 +10,16 @@ from pathlib import Path
 
 from PIL import Image
 
-from fourd.baking import SceneReader
-from fourd.baking.files.encoding import Tier
-from fourd.baking.packing.pack import pack_scene
-from fourd.baking.packing.transcode import transcode_scene
-from fourd.baking.packing.writer import Storage
-from fourd.baking.player import Player
-from fourd.errors import UserError
-from fourd.files import atomic_folder, is_unused
-from fourd.progress import Track, untracked
-from fourd.stylize import Style
+from fourd.base.errors import UserError
+from fourd.base.files import atomic_folder, is_unused
+from fourd.base.progress import Track, untracked
+from fourd.scene import SceneReader
+from fourd.scene.files.encoding import Tier
+from fourd.scene.packing.pack import pack_scene
+from fourd.scene.packing.transcode import transcode_scene
+from fourd.scene.packing.writer import Storage
+from fourd.scene.player import Player
+from fourd.scene.styles import Style
 from fourd.viewer.navigation.paths import order_by_azimuth
 from fourd.viewer.publish.styles import STYLES_NAME, load_styles, write_styles
 
@@ -52,7 +52,7 @@ def write_site(
         title: title of the page, or None for the name of the source file.
         track: reports progress.
         level: index of the tier's level (a set of quantisation steps), as for
-            :func:`fourd.baking.packing.pack.pack_scene`.
+            :func:`fourd.scene.packing.pack.pack_scene`.
         styles: the styles that the page offers, by name. If None, the page offers the presets.
         has_normals: whether to write normals, which styles need. If the source has none, they are estimated.
 

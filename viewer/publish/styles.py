@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from fourd.cameras import Camera
-from fourd.errors import UserError
-from fourd.files import atomic_path
-from fourd.ops.stylize.parameters import DETAILS, LINE_FILTERS
-from fourd.stylize import PRESETS, Style, load_style, view_style
-from fourd.stylize.presets import STYLE_SUFFIXES
-from fourd.stylize.tables import make_table
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
+from fourd.base.files import atomic_path
+from fourd.rendering.ops.stylize.parameters import DETAILS, LINE_FILTERS
+from fourd.scene.styles import PRESETS, Style, load_style, view_style
+from fourd.scene.styles.presets import STYLE_SUFFIXES
+from fourd.scene.styles.tables import make_table
 from fourd.viewer.shader_files import read_shader_body
 
 STYLES_NAME = "stylize.json"
@@ -33,8 +33,8 @@ _SHADERS = {
     "outlines": "stylize/outlines.frag",
 }
 _OF_THE_CAMERA = ("ray", "light", "detail_per_depth", "hatch_spacing", "paper")
-"""Names of the fields of :class:`fourd.ops.stylize.parameters.Numbers` (a style's uniforms) that depend on the camera
-or on the background colour. The player computes them for each image."""
+"""Names of the fields of :class:`fourd.rendering.ops.stylize.parameters.Numbers` (a style's uniforms) that depend on
+the camera or on the background colour. The player computes them for each image."""
 
 
 def load_styles(paths: Iterable[Path]) -> dict[str, Style]:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.player import Player
-from fourd.baking.styled.player import StyledPlayer
-from fourd.ops.aligned import zeros_aligned
+from fourd.rendering.ops.aligned import zeros_aligned
+from fourd.scene.player import Player
+from fourd.scene.styled.player import StyledPlayer
 from fourd.viewer.display import RenderRequest
 
 if TYPE_CHECKING:

@@ -8,14 +8,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking import BakedFrame, SceneManifest
-from fourd.baking.playable import Playable
-from fourd.baking.styled.player import StyledPlayer
-from fourd.cameras import Camera
-from fourd.lenses.inserts import Insert
-from fourd.lenses.lens import Lens
-from fourd.lenses.picture import draw_through_lens
-from fourd.stylize import Style
+from fourd.base.cameras import Camera
+from fourd.scene import BakedFrame, SceneManifest
+from fourd.scene.lenses.inserts import Insert
+from fourd.scene.lenses.lens import Lens
+from fourd.scene.lenses.picture import draw_through_lens
+from fourd.scene.playable import Playable
+from fourd.scene.styled.player import StyledPlayer
+from fourd.scene.styles import Style
 from fourd.viewer.playback.prefetch import BakedFrameSource
 
 Colour = tuple[float, float, float]
@@ -93,6 +93,6 @@ class DrawnPlayable:
     def render(
         self, camera: Camera, frame: int, layers: int | None, background: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Render a frame, with the arguments of :meth:`fourd.baking.playable.Playable.render`."""
+        """Render a frame, with the arguments of :meth:`fourd.scene.playable.Playable.render`."""
         red, green, blue = (float(value) for value in background)
         return self.drawer.draw(self.source.read(frame), camera, self.source.manifest, layers, (red, green, blue))

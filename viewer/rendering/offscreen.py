@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.errors import UserError
+from fourd.base.errors import UserError
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.rendering.cpu import CPURenderer
 from fourd.viewer.rendering.renderers import Renderer, RendererChoice, RendererName, choose_renderer, make_renderer

@@ -1,7 +1,7 @@
 #version 330 core
 #include "stylize/octahedral.glsl"
 // Projects and shades one point. Transform feedback stores the result, once per image, for all geometry passes. The
-// operations and their order are the same as in fourd/ops/points/reference.py and fourd/baking/shade.py.
+// operations and their order are the same as in fourd/rendering/ops/points/reference.py and fourd/scene/shade.py.
 
 uniform sampler2D xyz;            // The textures xyz, radius and density have one texel per point.
 uniform sampler2D radius;
@@ -104,7 +104,7 @@ void main() {
                   affine(rotation_z, world, translation.z));
     float rho = intrinsics_y.y * texelFetch(radius, at(slot), 0).r / p.z;
     float clamped_density = min(texelFetch(density, at(slot), 0).r, 1.0);
-    // Points fade at the near plane (fourd/ops/play/near_fade.py).
+    // Points fade at the near plane (fourd/rendering/ops/play/near_fade.py).
     clamped_density *= clamp((p.z - near) / (FADE_SHARE * near), 0.0, 1.0);
     bool is_drawn = p.z >= near && clamped_density > 0.0 && rho > 0.0 && rho < 1e18;
     if (!is_drawn) {

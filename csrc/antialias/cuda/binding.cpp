@@ -1,4 +1,4 @@
-// Python bindings of antialiasing on a GPU; fourd/ops/antialias/op.py documents the operations.
+// Python bindings of antialiasing on a GPU; fourd/rendering/ops/antialias/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 
 #include "antialias/arguments.h"

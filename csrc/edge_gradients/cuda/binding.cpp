@@ -1,4 +1,4 @@
-// Python bindings that compute the gradients of moving visibility edges on a GPU; fourd/ops/edge_gradients/op.py
+// Python bindings that compute the gradients of moving visibility edges on a GPU; fourd/rendering/ops/edge_gradients/op.py
 // documents the operation.
 #include <nanobind/stl/optional.h>
 

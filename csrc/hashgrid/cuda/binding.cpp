@@ -1,4 +1,4 @@
-// Python bindings of the hash grid on a GPU; fourd/ops/hashgrid/op.py documents the operations.
+// Python bindings of the hash grid on a GPU; fourd/rendering/ops/hashgrid/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 

@@ -1,4 +1,4 @@
-// Python bindings of the interpolation on a GPU; fourd/ops/interpolate/op.py documents the operations.
+// Python bindings of the interpolation on a GPU; fourd/rendering/ops/interpolate/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 
 #include "binding/cuda_arrays.h"

@@ -1,4 +1,4 @@
-// Python binding of the pixel filter on a GPU. fourd/ops/pixel_filter/cuda.py documents the operation.
+// Python binding of the pixel filter on a GPU. fourd/rendering/ops/pixel_filter/cuda.py documents the operation.
 #include "binding/cuda_arrays.h"
 #include "pixel_filter/arguments.h"
 #include "pixel_filter/cuda/pixel_filter.h"

@@ -1,4 +1,4 @@
-// Python bindings of K-Planes on a GPU; fourd/ops/planes/op.py documents the operations.
+// Python bindings of K-Planes on a GPU; fourd/rendering/ops/planes/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 

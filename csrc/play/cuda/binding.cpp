@@ -1,4 +1,4 @@
-// Python bindings that draw baked frames on a GPU. fourd/ops/play/cuda.py documents the operations.
+// Python bindings that draw baked frames on a GPU. fourd/rendering/ops/play/cuda.py documents the operations.
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>

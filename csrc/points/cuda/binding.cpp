@@ -1,4 +1,4 @@
-// Python bindings of the point renderer on a GPU; fourd/ops/points/cuda.py passes the memory and the CUDA stream.
+// Python bindings of the point renderer on a GPU; fourd/rendering/ops/points/cuda.py passes the memory and the CUDA stream.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>

@@ -1,4 +1,4 @@
-// Python bindings of the rasterizer on a GPU; fourd/ops/rasterize/op.py documents the operations.
+// Python bindings of the rasterizer on a GPU; fourd/rendering/ops/rasterize/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 
 #include "binding/cuda_arrays.h"

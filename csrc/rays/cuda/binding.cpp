@@ -1,4 +1,4 @@
-// Python bindings of ray tracing on a GPU; fourd/ops/rays/op.py documents the operations.
+// Python bindings of ray tracing on a GPU; fourd/rendering/ops/rays/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 
 #include "binding/cuda_arrays.h"

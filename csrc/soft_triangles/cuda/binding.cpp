@@ -1,4 +1,4 @@
-// Python bindings of soft rasterization on a GPU; fourd/ops/soft_triangles/cuda.py passes the memory and the CUDA
+// Python bindings of soft rasterization on a GPU; fourd/rendering/ops/soft_triangles/cuda.py passes the memory and the CUDA
 // stream.
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>

@@ -1,4 +1,4 @@
-// Python bindings that sample source views on a GPU. fourd/ops/sources/op.py documents the operations.
+// Python bindings that sample source views on a GPU. fourd/rendering/ops/sources/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 

@@ -1,4 +1,4 @@
-// Python bindings of triangle splatting on a GPU; fourd/ops/splat_triangles/cuda.py passes the memory and the CUDA
+// Python bindings of triangle splatting on a GPU; fourd/rendering/ops/splat_triangles/cuda.py passes the memory and the CUDA
 // stream.
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>

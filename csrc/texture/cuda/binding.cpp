@@ -1,4 +1,4 @@
-// Python bindings of texture lookups on a GPU; fourd/ops/texture/op.py documents the operations.
+// Python bindings of texture lookups on a GPU; fourd/rendering/ops/texture/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>

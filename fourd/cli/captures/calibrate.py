@@ -12,16 +12,16 @@ from typing import Annotated
 import tyro
 from rich.text import Text
 
-from fourd.board_calibration.calibrate import REPORT, CalibrationSettings, calibrate_rig, check_out
-from fourd.board_calibration.printing import print_board
-from fourd.boards import read_board
+from fourd.base.errors import UserError, command_line
+from fourd.base.files import remove_unfinished_folder
+from fourd.base.processes import locked_folder
+from fourd.base.progress import Log, Terminal, Tracker
 from fourd.cli.options import Frames, option, parse_offsets
 from fourd.cli.outputs import READS, WRITES_WHOLE_FOLDER, Writes
-from fourd.errors import UserError, command_line
-from fourd.files import remove_unfinished_folder
 from fourd.pipeline.kept import copy_linked, next_kept
-from fourd.processes import locked_folder
-from fourd.progress import Log, Terminal, Tracker
+from fourd.recording.board_calibration.calibrate import REPORT, CalibrationSettings, calibrate_rig, check_out
+from fourd.recording.board_calibration.printing import print_board
+from fourd.recording.boards import read_board
 
 VIDEOS_HELP = (
     "Folder with one video per camera, or one folder of images per camera. "

@@ -8,17 +8,17 @@ from typing import Annotated
 
 import tyro
 
-from fourd.carving import read_bounds
-from fourd.carving.sequence import BOUNDS_NAME
+from fourd.base.errors import UserError
+from fourd.base.processes import locked_folder
+from fourd.base.progress import Terminal
 from fourd.cli.options import CapturePath, SelectionOptions, Workers, check_hull_shares, describe, option, worker_count
 from fourd.cli.outputs import WRITES
-from fourd.errors import UserError
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.points.carve import CarveStageSettings, carve_stage
-from fourd.processes import locked_folder
-from fourd.progress import Terminal
-from fourd.training.cameras.selection import DataSelection
+from fourd.reconstruction.carving import read_bounds
+from fourd.reconstruction.carving.sequence import BOUNDS_NAME
+from fourd.reconstruction.training.cameras.selection import DataSelection
 
 FOLDER = Path(".fourd") / "hulls"
 

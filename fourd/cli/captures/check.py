@@ -10,19 +10,19 @@ from pathlib import Path
 from rich.table import Table
 from rich.text import Text
 
-from fourd.calibration.checks.agreement import Agreement, check_agreement
-from fourd.calibration.checks.verdict import describe_residuals, describe_verified, judge
-from fourd.capture import open_capture
-from fourd.capture.check import Report, check_capture, first_lines
-from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
-from fourd.carving.matte_quality import MatteQuality, measure_mattes
-from fourd.carving.rig_evidence import RigEvidence, check_rig
+from fourd.base.errors import UserError, command_line
+from fourd.base.progress import Terminal, Tracker
+from fourd.base.storage import local_copy
 from fourd.cli.locations import CaptureLocation, transfer_progress
-from fourd.errors import UserError, command_line
-from fourd.matting.contours import find_foreign_mattes
-from fourd.progress import Terminal, Tracker
-from fourd.storage import local_copy
-from fourd.sync.lateness import find_late_cameras
+from fourd.reconstruction.carving.matte_quality import MatteQuality, measure_mattes
+from fourd.reconstruction.carving.rig_evidence import RigEvidence, check_rig
+from fourd.recording.calibration.checks.agreement import Agreement, check_agreement
+from fourd.recording.calibration.checks.verdict import describe_residuals, describe_verified, judge
+from fourd.recording.capture import open_capture
+from fourd.recording.capture.check import Report, check_capture, first_lines
+from fourd.recording.capture.frame_rate import UNKNOWN_RATE, format_rate
+from fourd.recording.matting.contours import find_foreign_mattes
+from fourd.recording.sync.lateness import find_late_cameras
 
 MOST_LINES = 20
 DECODE_SECONDS = 60.0

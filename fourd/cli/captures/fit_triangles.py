@@ -9,18 +9,18 @@ from typing import Annotated
 import tyro
 from rich.table import Table
 
-from fourd.cameras import estimate_up
-from fourd.capture import open_capture
-from fourd.capture.layout import refuse_symlinks
+from fourd.base.cameras import estimate_up
+from fourd.base.errors import UserError
+from fourd.base.files import remove_unfinished_file
+from fourd.base.progress import Terminal, Tracker
 from fourd.cli.options import CapturePath, HullAgreement, HullLeastViews, Views, option, split_names
 from fourd.cli.outputs import WRITES
-from fourd.errors import UserError
-from fourd.files import remove_unfinished_file
-from fourd.progress import Terminal, Tracker
-from fourd.training.cameras.selection import DataSelection, open_run_views
-from fourd.triangle_fitting.export import check_format, write_mesh
-from fourd.triangle_fitting.frame import FittedFrame, fit_frame
-from fourd.triangle_fitting.settings import TriangleSettings
+from fourd.reconstruction.meshes.triangle_fitting.export import check_format, write_mesh
+from fourd.reconstruction.meshes.triangle_fitting.frame import FittedFrame, fit_frame
+from fourd.reconstruction.meshes.triangle_fitting.settings import TriangleSettings
+from fourd.reconstruction.training.cameras.selection import DataSelection, open_run_views
+from fourd.recording.capture import open_capture
+from fourd.recording.capture.layout import refuse_symlinks
 
 DEFAULT_SECONDS = 120.0
 

@@ -11,24 +11,24 @@ from typing import Annotated
 import tyro
 from rich.text import Text
 
-from fourd.boards import side_problem
-from fourd.calibration.ambiguities import PrincipalPointMode
-from fourd.calibration.chessboard import Board
-from fourd.calibration.scale import Distance
-from fourd.capture.frame_rate import check_rate
+from fourd.base.errors import UserError, command_line
+from fourd.base.files import resolved
+from fourd.base.processes import locked_folder
+from fourd.base.progress import Terminal, Tracker
+from fourd.base.storage import local_path
 from fourd.cli.options import FramesPerSecond, describe, option, parse_offsets
 from fourd.cli.outputs import READS, require_distinct
-from fourd.errors import UserError, command_line
-from fourd.files import resolved
-from fourd.importing.detection import FORMATS, pick_format
-from fourd.importing.frame_geometry import CalibratedFrames
-from fourd.importing.given_calibration import VIDEOS_FORMAT
-from fourd.importing.importer import ImportOptions, import_source
-from fourd.importing.pictures.moments import PairBy
-from fourd.importing.time_offsets import SoundPosition, SyncMethod
-from fourd.processes import locked_folder
-from fourd.progress import Terminal, Tracker
-from fourd.storage import local_path
+from fourd.recording.boards import side_problem
+from fourd.recording.calibration.ambiguities import PrincipalPointMode
+from fourd.recording.calibration.chessboard import Board
+from fourd.recording.calibration.scale import Distance
+from fourd.recording.capture.frame_rate import check_rate
+from fourd.recording.importing.detection import FORMATS, pick_format
+from fourd.recording.importing.frame_geometry import CalibratedFrames
+from fourd.recording.importing.given_calibration import VIDEOS_FORMAT
+from fourd.recording.importing.importer import ImportOptions, import_source
+from fourd.recording.importing.pictures.moments import PairBy
+from fourd.recording.importing.time_offsets import SoundPosition, SyncMethod
 
 WORDS_HELP = (
     f"FORMAT: {', '.join(each.name for each in FORMATS)}; detected if omitted. "

@@ -9,21 +9,21 @@ from typing import Annotated, Literal
 
 import tyro
 
-from fourd.capture.layout import DERIVED, MATTES, camera_names, refuse_symlinks, select_views
-from fourd.capture.split import read_test_views
+from fourd.base.errors import UserError
+from fourd.base.processes import locked_folder
+from fourd.base.progress import Terminal
 from fourd.cli.options import CapturePath, SelectionOptions, Workers, option, split_names, worker_count
 from fourd.cli.outputs import READS, require_distinct
-from fourd.errors import UserError
-from fourd.matting.motion.paint import parse_paint
-from fourd.matting.output import SHEET
-from fourd.matting.plates import FOLDER as PLATES
-from fourd.matting.sequence import MatteSettings, record_choice
 from fourd.pipeline.capture_graph import MASKS, has_masks, lacks_masks, stages_to_mattes
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.mattes import MatteStageSettings
-from fourd.processes import locked_folder
-from fourd.progress import Terminal
+from fourd.recording.capture.layout import DERIVED, MATTES, camera_names, refuse_symlinks, select_views
+from fourd.recording.capture.split import read_test_views
+from fourd.recording.matting.motion.paint import parse_paint
+from fourd.recording.matting.output import SHEET
+from fourd.recording.matting.plates import FOLDER as PLATES
+from fourd.recording.matting.sequence import MatteSettings, record_choice
 
 METHOD_HELP = (
     "motion: detect the subject by motion and multi-view consistency, without a pretrained network. "

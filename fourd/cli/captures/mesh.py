@@ -9,6 +9,9 @@ from typing import Annotated
 import tyro
 from rich.table import Table
 
+from fourd.base.errors import UserError
+from fourd.base.processes import locked_folder
+from fourd.base.progress import Terminal
 from fourd.cli.options import (
     FRAMES_HELP,
     VIEWS_HELP,
@@ -19,18 +22,15 @@ from fourd.cli.options import (
     split_names,
 )
 from fourd.cli.outputs import READS, WRITES
-from fourd.errors import UserError
-from fourd.mesh.fitting.settings import FitSettings
-from fourd.mesh.settings import MAX_TEXTURE_SIZE, MeshFormat, MeshSettings
-from fourd.mesh.surface.remeshing import remeshing_is_available
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.mesh import MeshFiles, MeshStageSettings, mesh_stage, read_scores
-from fourd.processes import locked_folder
-from fourd.progress import Terminal
-from fourd.training.cameras.selection import DataSelection
-from fourd.training.run import open_run
-from fourd.training.run_layout import CONFIG_NAME
+from fourd.reconstruction.meshes.fitting.settings import FitSettings
+from fourd.reconstruction.meshes.settings import MAX_TEXTURE_SIZE, MeshFormat, MeshSettings
+from fourd.reconstruction.meshes.surface.remeshing import remeshing_is_available
+from fourd.reconstruction.training.cameras.selection import DataSelection
+from fourd.reconstruction.training.run import open_run
+from fourd.reconstruction.training.run_layout import CONFIG_NAME
 
 
 @dataclass(frozen=True)

@@ -10,16 +10,16 @@ from typing import Annotated
 
 import tyro
 
-from fourd.capture.frame_rate import DEFAULT_FPS
+from fourd.base.errors import UserError
+from fourd.base.processes import locked_folder
+from fourd.base.progress import Terminal, Tracker
 from fourd.cli.options import option
 from fourd.cli.outputs import WRITES
-from fourd.errors import UserError
-from fourd.processes import locked_folder
-from fourd.progress import Terminal, Tracker
-from fourd.synth import SynthSettings, make_synthetic
-from fourd.synth.board_videos import BoardSettings, make_board_videos
-from fourd.synth.dome import DomeSettings, make_dome, suggested_test_views
-from fourd.synth.folder import has_finished, read_settings
+from fourd.recording.capture.frame_rate import DEFAULT_FPS
+from fourd.recording.synth import SynthSettings, make_synthetic
+from fourd.recording.synth.board_videos import BoardSettings, make_board_videos
+from fourd.recording.synth.dome import DomeSettings, make_dome, suggested_test_views
+from fourd.recording.synth.folder import has_finished, read_settings
 
 FRAMES_HELP = "Number N of frames. The figure's motion repeats after N frames."
 CAMERAS_HELP = (

@@ -14,22 +14,22 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from fourd.capture import Capture
-from fourd.capture.decoding import decode_rgb
+from fourd.base.errors import UserError
+from fourd.base.files import write_text_atomically
+from fourd.base.progress import Terminal, Tracker
 from fourd.cli.options import LpipsWeights, RunPath, option, split_names
 from fourd.cli.outputs import READS, WRITES_JSON
-from fourd.errors import UserError
-from fourd.files import write_text_atomically
-from fourd.progress import Terminal, Tracker
-from fourd.training.evaluation.camera_fitting import FittedView, fit_test_camera
-from fourd.training.evaluation.covisibility import covisible_masks, covisible_psnr
-from fourd.training.evaluation.metrics import psnr
-from fourd.training.evaluation.render import RenderedView
-from fourd.training.evaluation.scores import Evaluation, ViewScores, score_view, summarize
-from fourd.training.losses.lpips import load_lpips
-from fourd.training.run import TrainedRun
-from fourd.training.run_layout import segment_folder
-from fourd.training.segments.segmented_run import SegmentedRun, open_trained
+from fourd.reconstruction.training.evaluation.camera_fitting import FittedView, fit_test_camera
+from fourd.reconstruction.training.evaluation.covisibility import covisible_masks, covisible_psnr
+from fourd.reconstruction.training.evaluation.metrics import psnr
+from fourd.reconstruction.training.evaluation.render import RenderedView
+from fourd.reconstruction.training.evaluation.scores import Evaluation, ViewScores, score_view, summarize
+from fourd.reconstruction.training.losses.lpips import load_lpips
+from fourd.reconstruction.training.run import TrainedRun
+from fourd.reconstruction.training.run_layout import segment_folder
+from fourd.reconstruction.training.segments.segmented_run import SegmentedRun, open_trained
+from fourd.recording.capture import Capture
+from fourd.recording.capture.decoding import decode_rgb
 
 PLATES_HELP = (
     "Folder of images CAM.png that show the scene without the subject. These images are compared with the rendered "
@@ -72,7 +72,7 @@ def run(arguments: Arguments) -> None:
     fitted = _fit_cameras(trained, indices, arguments, console)
     exported = None
     if arguments.scene is not None:
-        from fourd.baking import open_scene
+        from fourd.scene import open_scene
 
         exported = open_scene(arguments.scene)
     whole = (trained.run.config.train.scene if exported is None else exported.manifest.kind) == "full"

@@ -11,20 +11,20 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from fourd.baking.exporting.export import ExportSettings, Format, export_scene
-from fourd.baking.files.encoding import Tier
-from fourd.baking.packing.report import PackSettings
-from fourd.baking.playable import PlayableScene, select_frames
-from fourd.baking.rendering import Scene, open_scene
-from fourd.baking.scene import BAKED_LAYERS
+from fourd.base.errors import UserError, command_line
+from fourd.base.files import require_suffix
+from fourd.base.progress import Terminal, Tracker
+from fourd.base.storage import local_output, local_path
 from fourd.cli.locations import OutLocation, transfer_progress
 from fourd.cli.options import TIER_HELP, Frames, MaxMbps, check_mbps, check_rendering, describe, option
 from fourd.cli.outputs import READS
-from fourd.errors import UserError, command_line
-from fourd.files import require_suffix
-from fourd.progress import Terminal, Tracker
-from fourd.storage import local_output, local_path
-from fourd.training.points.scratch import Scratch
+from fourd.reconstruction.training.points.scratch import Scratch
+from fourd.scene.exporting.export import ExportSettings, Format, export_scene
+from fourd.scene.files.encoding import Tier
+from fourd.scene.packing.report import PackSettings
+from fourd.scene.playable import PlayableScene, select_frames
+from fourd.scene.rendering import Scene, open_scene
+from fourd.scene.scene import BAKED_LAYERS
 
 SCRATCH = ".export"
 """Name of a temporary folder beside the output. With --to, a run is first baked into this folder, and the baked scene

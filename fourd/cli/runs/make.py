@@ -10,22 +10,22 @@ from typing import Annotated
 
 import tyro
 
-from fourd.capture.frame_rate import check_rate
+from fourd.base.errors import UserError, command_line
+from fourd.base.files import resolved
+from fourd.base.progress import Terminal
+from fourd.base.storage import Location
 from fourd.cli.captures.matte import MatteOptions
 from fourd.cli.locations import PATH_OR_URL, OutLocation
 from fourd.cli.options import FramesPerSecond, Workers, option, worker_count
 from fourd.cli.outputs import READS, WRITES
 from fourd.cli.training_options import TrainingOptions, print_summary
-from fourd.errors import UserError, command_line
-from fourd.files import resolved
-from fourd.importing.importer import ImportOptions
-from fourd.ops.gpu import choose_device
 from fourd.pipeline.cluster import join_cluster
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.stage import Context
-from fourd.progress import Terminal
-from fourd.storage import Location
-from fourd.training.losses.lpips import load_lpips
+from fourd.reconstruction.training.losses.lpips import load_lpips
+from fourd.recording.capture.frame_rate import check_rate
+from fourd.recording.importing.importer import ImportOptions
+from fourd.rendering.ops.gpu import choose_device
 
 DEFAULT_SECONDS = 1800.0
 RAY_HELP = (

@@ -10,13 +10,15 @@ from typing import Annotated
 import tyro
 
 from fourd import __version__
+from fourd.base.configs import to_yaml
+from fourd.base.errors import UserError, command_line
+from fourd.base.processes import locked_folder
+from fourd.base.progress import Terminal
+from fourd.base.storage import StorageUrl
 from fourd.cli.locations import CaptureLocation
 from fourd.cli.options import Workers, worker_count
 from fourd.cli.outputs import WRITES
 from fourd.cli.training_options import TrainingOptions, print_summary
-from fourd.configs import to_yaml
-from fourd.errors import UserError, command_line
-from fourd.ops.gpu import choose_device
 from fourd.pipeline.fetch import fetch_stage, fetched_path
 from fourd.pipeline.graph import RunRequest, stages_to_resume, stages_to_run
 from fourd.pipeline.make import require_new_run
@@ -24,15 +26,13 @@ from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.summary import summarize_run
 from fourd.pipeline.stages.train import TrainFiles, require_divisible
-from fourd.processes import locked_folder
-from fourd.progress import Terminal
-from fourd.storage import StorageUrl
-from fourd.training.cameras.selection import with_test_split
-from fourd.training.config import TrainConfig
-from fourd.training.distributed.process_group import ProcessGroup, join_process_group
-from fourd.training.losses.lpips import load_lpips
-from fourd.training.run import open_run, remove_leftovers
-from fourd.training.run_layout import SOURCE
+from fourd.reconstruction.training.cameras.selection import with_test_split
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.reconstruction.training.distributed.process_group import ProcessGroup, join_process_group
+from fourd.reconstruction.training.losses.lpips import load_lpips
+from fourd.reconstruction.training.run import open_run, remove_leftovers
+from fourd.reconstruction.training.run_layout import SOURCE
+from fourd.rendering.ops.gpu import choose_device
 
 
 @dataclass(frozen=True)

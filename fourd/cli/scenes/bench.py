@@ -10,6 +10,8 @@ from typing import Annotated
 
 import tyro
 
+from fourd.base.files import write_text_atomically
+from fourd.base.progress import Terminal
 from fourd.benchmarks.cases import cases
 from fourd.benchmarks.gpu_cases import gpu_cases
 from fourd.benchmarks.machine import this_machine
@@ -18,8 +20,6 @@ from fourd.benchmarks.report import Row, markdown, table, to_json
 from fourd.benchmarks.timing import Clock
 from fourd.cli.options import option
 from fourd.cli.outputs import WRITES_JSON, Writes
-from fourd.files import write_text_atomically
-from fourd.progress import Terminal
 
 
 @dataclass(frozen=True)

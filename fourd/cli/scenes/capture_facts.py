@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fourd.capture.split import read_test_views
+from fourd.recording.capture.split import read_test_views
 
 if TYPE_CHECKING:
-    from fourd.capture import Capture
+    from fourd.recording.capture import Capture
 
 
 def split_and_masks(path: Path, capture: Capture) -> list[tuple[str, str]]:

@@ -16,21 +16,21 @@ import yaml
 from rich.table import Table
 from rich.text import Text
 
-from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
-from fourd.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES, camera_folders
+from fourd.base.errors import UserError, command_line
+from fourd.base.files import list_folder, sort_names
+from fourd.base.limits import MAX_CONFIG_BYTES, open_regular, read_limited, require_regular
+from fourd.base.processes.isolation import ParserProcess
+from fourd.base.progress import Terminal
+from fourd.base.storage import Location, StorageUrl
 from fourd.cli.locations import PATH_OR_URL, scene_or_copy
 from fourd.cli.outputs import READS
 from fourd.cli.scenes.capture_facts import quality_lines, split_and_masks
-from fourd.errors import UserError, command_line
-from fourd.files import list_folder, sort_names
-from fourd.limits import MAX_CONFIG_BYTES, open_regular, read_limited, require_regular
-from fourd.processes.isolation import ParserProcess
-from fourd.progress import Terminal
-from fourd.storage import Location, StorageUrl
-from fourd.training.run_layout import CHECKPOINTS, checkpoint_files, segment_folders
+from fourd.reconstruction.training.run_layout import CHECKPOINTS, checkpoint_files, segment_folders
+from fourd.recording.capture.frame_rate import UNKNOWN_RATE, format_rate
+from fourd.recording.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES, camera_folders
 
 if TYPE_CHECKING:
-    from fourd.baking.scene import SceneBackground
+    from fourd.scene.scene import SceneBackground
 
 Rows = list[tuple[str, str]]
 
@@ -120,7 +120,7 @@ def _unknown(path: Path) -> UserError:
 
 
 def _scene(path: Location) -> Rows:
-    from fourd.baking.container import SceneReader
+    from fourd.scene.container import SceneReader
 
     reader = SceneReader(path)
     reader.close()
@@ -160,7 +160,7 @@ def _background(background: SceneBackground | None) -> Rows:
 
 
 def _splats(path: Path) -> Rows:
-    from fourd.baking.splats.reader import SplatReader
+    from fourd.scene.splats.reader import SplatReader
 
     manifest = SplatReader(path).manifest
     lower, upper = manifest.bounds
@@ -172,8 +172,8 @@ def _splats(path: Path) -> Rows:
 
 
 def _points(path: Path) -> Rows:
-    from fourd.baking.splats.ply import is_splat_ply
-    from fourd.formats.ply import read_ply
+    from fourd.base.formats.ply import read_ply
+    from fourd.scene.splats.ply import is_splat_ply
 
     xyz, rgb = read_ply(path)
     rows = [("points", f"{len(xyz):,}"), ("size", _bytes(path.stat().st_size))]
@@ -224,7 +224,7 @@ def describe_video_in_child(name: str) -> Rows:
     """Describe a video. :func:`_video` calls this function in its child process."""
     import av
 
-    from fourd.capture.streams.container import frame_count, open_container, video_stream
+    from fourd.recording.capture.streams.container import frame_count, open_container, video_stream
 
     path = Path(name)
     try:
@@ -246,7 +246,7 @@ def describe_video_in_child(name: str) -> Rows:
 def _turned_size(path: Path) -> str:
     """Describe the frames of a video: their size when upright, the angle by which fourd turns them upright, and the HDR
     transfer function, if any."""
-    from fourd.capture.video import first_frame
+    from fourd.recording.capture.video import first_frame
 
     width, height, turn, transfer = first_frame(path)
     turned = f", turned by {360 - turn} degrees clockwise" if turn else ""
@@ -327,7 +327,7 @@ def _capture(path: Path) -> Rows:
     videos = sort_names(file.name for file in path.glob("videos/*") if file.suffix.lower() in VIDEO_SUFFIXES)
     rows: Rows = []
     if calibrated and (folders or videos):
-        from fourd.capture import open_capture
+        from fourd.recording.capture import open_capture
 
         with open_capture(path, partial_mattes=True) as capture:
             rows.append(("cameras", f"{len(capture.names)}, calibrated: {_names(capture.names)}"))

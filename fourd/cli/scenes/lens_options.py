@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.cameras import Camera, estimate_up
+from fourd.base.cameras import Camera, estimate_up
+from fourd.base.errors import UserError
 from fourd.cli.options import option
-from fourd.errors import UserError
-from fourd.lenses.inserts import GlassBall, Insert, MirrorFloor
-from fourd.lenses.lens import Fisheye, Lens, Panorama, Pinhole, ThinLens
+from fourd.scene.lenses.inserts import GlassBall, Insert, MirrorFloor
+from fourd.scene.lenses.lens import Fisheye, Lens, Panorama, Pinhole, ThinLens
 
 _MAX_SAMPLES = 64
 _FLOOR_RADII = 2.5

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from fourd.baking.files.encoding import Tier
-from fourd.baking.packing.report import PackSettings, pack_and_report
+from fourd.base.errors import command_line
+from fourd.base.files import require_suffix
+from fourd.base.progress import Terminal
+from fourd.base.storage import local_copy, local_output
 from fourd.cli.locations import OutLocation, SceneLocation, transfer_progress
 from fourd.cli.options import TIER_HELP, MaxMbps, check_mbps, describe
-from fourd.errors import command_line
-from fourd.files import require_suffix
-from fourd.progress import Terminal
-from fourd.storage import local_copy, local_output
+from fourd.scene.files.encoding import Tier
+from fourd.scene.packing.report import PackSettings, pack_and_report
 
 
 @dataclass(frozen=True)

@@ -13,19 +13,19 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from fourd.baking.meshes.playable import PlayableMeshes
-from fourd.baking.meshes.source import is_mesh
-from fourd.baking.playable import Playable, find_view, open_playable, select_frames, selected_rate
-from fourd.cameras import Camera
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
+from fourd.base.progress import Terminal
+from fourd.base.storage import Location
 from fourd.cli.locations import PATH_OR_URL, scene_or_copy
 from fourd.cli.options import Frames, StyleName, check_rendering, option, split_names
 from fourd.cli.outputs import READS, WRITES
 from fourd.cli.scenes.lens_options import LensOptions, make_inserts, make_lens
-from fourd.errors import UserError
-from fourd.lenses.inserts import Insert
-from fourd.progress import Terminal
-from fourd.storage import Location
-from fourd.stylize import load_style
+from fourd.scene.lenses.inserts import Insert
+from fourd.scene.meshes.playable import PlayableMeshes
+from fourd.scene.meshes.source import is_mesh
+from fourd.scene.playable import Playable, find_view, open_playable, select_frames, selected_rate
+from fourd.scene.styles import load_style
 from fourd.viewer.navigation.paths import camera_path, fit_camera
 from fourd.viewer.output.png import write_png
 from fourd.viewer.output.video import is_video, require_video, write_video

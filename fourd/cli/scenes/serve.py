@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from fourd.baking.files.encoding import Tier
+from fourd.base.errors import UserError
+from fourd.base.progress import Terminal
 from fourd.cli.options import TIER_HELP, PageStyles, describe, option
 from fourd.cli.outputs import READS
-from fourd.errors import UserError
-from fourd.progress import Terminal
+from fourd.scene.files.encoding import Tier
 
 if TYPE_CHECKING:
     from fourd.viewer.publish.server import SiteServer

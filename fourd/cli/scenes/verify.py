@@ -8,12 +8,12 @@ from typing import Annotated
 
 import tyro
 
+from fourd.base.errors import UserError
+from fourd.base.progress import Terminal, Tracker
+from fourd.base.storage import Location, local_copy
 from fourd.cli.locations import PATH_OR_URL, transfer_progress
 from fourd.cli.outputs import READS
-from fourd.errors import UserError
-from fourd.progress import Terminal, Tracker
-from fourd.storage import Location, local_copy
-from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, checkpoint_files, segment_folders
+from fourd.reconstruction.training.run_layout import CHECKPOINTS, CONFIG_NAME, checkpoint_files, segment_folders
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ def _verify(path: Path, name: str) -> None:
 
 
 def _verify_scene(path: Path, track: Tracker) -> str:
-    from fourd.baking.container import SceneReader
-    from fourd.baking.files.archive import find_damaged_member
+    from fourd.scene.container import SceneReader
+    from fourd.scene.files.archive import find_damaged_member
 
     member = find_damaged_member(path)
     if member is not None:
@@ -63,7 +63,7 @@ def _verify_scene(path: Path, track: Tracker) -> str:
 
 
 def _verify_run(path: Path, console: Terminal, track: Tracker) -> str:
-    from fourd.training.checkpoints import verify_checkpoint
+    from fourd.reconstruction.training.checkpoints import verify_checkpoint
 
     runs = [path, *segment_folders(path)]
     found = [checkpoint for run in runs for checkpoint in checkpoint_files(run / CHECKPOINTS)]
@@ -84,7 +84,7 @@ def _verify_run(path: Path, console: Terminal, track: Tracker) -> str:
 
 
 def _verify_capture(path: Path, track: Tracker) -> str:
-    from fourd.capture.check import check_capture
+    from fourd.recording.capture.check import check_capture
 
     report = check_capture(path, deep=True, track=track.track)
     if report.problems:

@@ -10,14 +10,14 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
+from fourd.base.errors import UserError
+from fourd.base.files import require_suffix
+from fourd.base.progress import Terminal
+from fourd.base.storage import Location, local_copy
 from fourd.cli.locations import PATH_OR_URL, transfer_progress
 from fourd.cli.options import StyleName, check_rendering, describe, option
 from fourd.cli.outputs import READS, WRITES
-from fourd.errors import UserError
-from fourd.files import require_suffix
-from fourd.progress import Terminal
-from fourd.storage import Location, local_copy
-from fourd.stylize import load_style
+from fourd.scene.styles import load_style
 from fourd.viewer.display import DisplaySettings
 from fourd.viewer.rendering.renderers import RendererName
 

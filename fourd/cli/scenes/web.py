@@ -8,15 +8,15 @@ from typing import Annotated
 
 import tyro
 
-from fourd.baking.container import SceneReader
-from fourd.baking.files.encoding import Tier
-from fourd.baking.packing.rate import Choice, choose_tier
+from fourd.base.errors import UserError, command_line
+from fourd.base.files import remove_unfinished_folder
+from fourd.base.processes import locked_folder
+from fourd.base.progress import Terminal, Track, Tracker
 from fourd.cli.options import TIER_HELP, MaxMbps, PageStyles, ScenePath, check_mbps, describe, option
 from fourd.cli.outputs import WRITES_WHOLE_FOLDER
-from fourd.errors import UserError, command_line
-from fourd.files import remove_unfinished_folder
-from fourd.processes import locked_folder
-from fourd.progress import Terminal, Track, Tracker
+from fourd.scene.container import SceneReader
+from fourd.scene.files.encoding import Tier
+from fourd.scene.packing.rate import Choice, choose_tier
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,13 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.baking.bake import bake_run
-from fourd.baking.packing.report import PackSettings, pack_and_report
-from fourd.baking.scene import BAKED_LAYERS
-from fourd.capture.frame_rate import NAME
-from fourd.files import atomic_path, remove_unfinished_file
+from fourd.base.files import atomic_path, remove_unfinished_file
 from fourd.pipeline.stage import Artefact, Context, Stage
-from fourd.training.segments.segmented_run import open_trained
+from fourd.reconstruction.training.segments.segmented_run import open_trained
+from fourd.recording.capture.frame_rate import NAME
+from fourd.scene.bake import bake_run
+from fourd.scene.packing.report import PackSettings, pack_and_report
+from fourd.scene.scene import BAKED_LAYERS
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.capture.check import check_capture, first_lines
-from fourd.capture.video_index import index_capture
-from fourd.errors import UserError
+from fourd.base.errors import UserError
 from fourd.pipeline.stage import Artefact, Context, NoSettings, Stage
+from fourd.recording.capture.check import check_capture, first_lines
+from fourd.recording.capture.video_index import index_capture
 
 MAX_WARNINGS = 20
 INPUT_PATTERNS = ("*.yml", "videos.json", "videos/*", "images/*/*", "masks/*/*")

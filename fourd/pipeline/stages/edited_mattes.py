@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from fourd.capture.layout import MATTES, refuse_symlinks
-from fourd.matting.output import SHEET, MatteState
+from fourd.base.progress import Log
 from fourd.pipeline.kept import copy_linked, folder_size, next_kept, readable_size
-from fourd.progress import Log
+from fourd.recording.capture.layout import MATTES, refuse_symlinks
+from fourd.recording.matting.output import SHEET, MatteState
 
 
 @contextmanager

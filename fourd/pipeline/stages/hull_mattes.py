@@ -10,17 +10,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.capture import open_capture
-from fourd.capture.layout import parse_frame_range, refuse_symlinks
-from fourd.capture.pictures.listing import masked_cameras
-from fourd.errors import UserError
-from fourd.matting.output import MatteOutput
-from fourd.matting.selection import Selection
+from fourd.base.errors import UserError
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.edited_mattes import kept_if_edited
 from fourd.pipeline.stages.mattes import MatteFiles
 from fourd.pipeline.stages.silhouettes import write_silhouettes
+from fourd.recording.capture import open_capture
+from fourd.recording.capture.layout import parse_frame_range, refuse_symlinks
+from fourd.recording.capture.pictures.listing import masked_cameras
+from fourd.recording.matting.output import MatteOutput
+from fourd.recording.matting.selection import Selection
 
 VERSION = 1
 MIN_MASKED = 3

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
-from fourd.importing.detection import CALIBRATION_FORMATS, pick_format
-from fourd.importing.given_calibration import VIDEOS_FORMAT
-from fourd.importing.importer import ImportOptions, import_source
-from fourd.importing.layouts import calibration_outside
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
+from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
+from fourd.recording.importing.detection import CALIBRATION_FORMATS, pick_format
+from fourd.recording.importing.given_calibration import VIDEOS_FORMAT
+from fourd.recording.importing.importer import ImportOptions, import_source
+from fourd.recording.importing.layouts import calibration_outside
 
 PATTERNS = ("*", "*/*", "*/*/*")
 CALIBRATION = (INTRINSICS_NAME, EXTRINSICS_NAME)

@@ -6,24 +6,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.capture import Capture, open_capture
-from fourd.capture.layout import DERIVED, MATTES, camera_names, select_views
-from fourd.capture.video_index import index_capture
-from fourd.carving.matte_quality import measure_mattes
-from fourd.matting.contact_sheet import write_contact_sheet
-from fourd.matting.output import SHEET
-from fourd.matting.selection import Selection
-from fourd.matting.sequence import MatteSettings, make_mattes
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.edited_mattes import kept_if_edited
 from fourd.pipeline.stages.silhouettes import MIN_HULL_VIEWS, write_silhouettes
+from fourd.reconstruction.carving.matte_quality import measure_mattes
+from fourd.recording.capture import Capture, open_capture
+from fourd.recording.capture.layout import DERIVED, MATTES, camera_names, select_views
+from fourd.recording.capture.video_index import index_capture
+from fourd.recording.matting.contact_sheet import write_contact_sheet
+from fourd.recording.matting.output import SHEET
+from fourd.recording.matting.selection import Selection
+from fourd.recording.matting.sequence import MatteSettings, make_mattes
 
 COMBINING_METHODS = ("motion",)
 """Methods that combine the evidence of all cameras, so that each image influences the mattes of all cameras."""
 QUALITY = DERIVED / "matte_quality.json"
 """JSON file that records how well the mattes agree with visual hulls: three numbers for each camera in each of a few
-frames; see ``fourd.carving.matte_quality.MatteQuality``."""
+frames; see ``fourd.reconstruction.carving.matte_quality.MatteQuality``."""
 
 
 @dataclass(frozen=True)

@@ -10,20 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.capture import Capture, open_capture
-from fourd.errors import UserError
-from fourd.files import write_text_atomically
-from fourd.limits import read_json
-from fourd.mesh.rendering import render_mesh, silhouette_iou
-from fourd.mesh.sequence import mesh_capture
-from fourd.mesh.settings import MeshSettings
-from fourd.mesh.texturing.texture import TexturedMesh, read_textured_mesh
+from fourd.base.errors import UserError
+from fourd.base.files import write_text_atomically
+from fourd.base.limits import read_json
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.plates import MATTE_PATTERNS
-from fourd.training.cameras.selection import DECODED_MB, DataSelection, open_run_views
-from fourd.training.evaluation.metrics import mask_box, psnr
-from fourd.training.run import load_run
+from fourd.reconstruction.meshes.rendering import render_mesh, silhouette_iou
+from fourd.reconstruction.meshes.sequence import mesh_capture
+from fourd.reconstruction.meshes.settings import MeshSettings
+from fourd.reconstruction.meshes.texturing.texture import TexturedMesh, read_textured_mesh
+from fourd.reconstruction.training.cameras.selection import DECODED_MB, DataSelection, open_run_views
+from fourd.reconstruction.training.evaluation.metrics import mask_box, psnr
+from fourd.reconstruction.training.run import load_run
+from fourd.recording.capture import Capture, open_capture
 
 SCORES_NAME = "scores.json"
 

@@ -6,17 +6,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.background.plates import USER_FOLDER, has_plate
-from fourd.capture.video_index import index_capture
-from fourd.matting.plates import FOLDER as CAPTURE_PLATES
-from fourd.matting.plates import make_plates
-from fourd.matting.selection import Selection
-from fourd.matting.sequence import matte_key
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.mattes import MatteFiles, MatteStageSettings
-from fourd.training.cameras.selection import DataSelection, open_run_views
-from fourd.training.run_layout import BACKGROUND, PLATES, POINTS
+from fourd.reconstruction.background.plates import USER_FOLDER, has_plate
+from fourd.reconstruction.training.cameras.selection import DataSelection, open_run_views
+from fourd.reconstruction.training.run_layout import BACKGROUND, PLATES, POINTS
+from fourd.recording.capture.video_index import index_capture
+from fourd.recording.matting.plates import FOLDER as CAPTURE_PLATES
+from fourd.recording.matting.plates import make_plates
+from fourd.recording.matting.selection import Selection
+from fourd.recording.matting.sequence import matte_key
 
 MATTE_PATTERNS = (".fourd/mattes/*/*",)
 PLATE_PATTERNS = (f"{USER_FOLDER}/*", f"{CAPTURE_PLATES.as_posix()}/*")

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import cv2
 
-from fourd.carving.coherence import hull_silhouettes
-from fourd.matting.selection import Selection
-from fourd.matting.sequence import write_matte
-from fourd.parallel import run_jobs, split_into_blocks
+from fourd.base.parallel import run_jobs, split_into_blocks
 from fourd.pipeline.stage import Context
+from fourd.reconstruction.carving.coherence import hull_silhouettes
+from fourd.recording.matting.selection import Selection
+from fourd.recording.matting.sequence import write_matte
 
 MIN_HULL_VIEWS = 2
 """Minimum number of cameras whose hull gives held-out cameras their mattes, which only select the pixels that are

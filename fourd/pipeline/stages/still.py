@@ -13,18 +13,18 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.capture import open_capture
-from fourd.capture.focus import viewing_centre
-from fourd.capture.layout import DERIVED, link_entries
-from fourd.carving import Bounds
-from fourd.carving.sequence import BOUNDS_NAME
-from fourd.files import resolved, write_text_atomically
-from fourd.formats.picture import write_picture
-from fourd.formats.ply import write_ply
+from fourd.base.files import resolved, write_text_atomically
+from fourd.base.formats.picture import write_picture
+from fourd.base.formats.ply import write_ply
 from fourd.pipeline.stage import Artefact, Context, Leftovers, NoSettings, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
-from fourd.training.cameras.selection import DataSelection, open_run_views
-from fourd.training.run_layout import BACKGROUND, CALIBRATION, COLOURS, HULL
+from fourd.reconstruction.carving import Bounds
+from fourd.reconstruction.carving.sequence import BOUNDS_NAME
+from fourd.reconstruction.training.cameras.selection import DataSelection, open_run_views
+from fourd.reconstruction.training.run_layout import BACKGROUND, CALIBRATION, COLOURS, HULL
+from fourd.recording.capture import open_capture
+from fourd.recording.capture.focus import viewing_centre
+from fourd.recording.capture.layout import DERIVED, link_entries
 
 DONE = "still.json"
 BOUNDS_SHARE = 0.25

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.carving.matte_quality import HullShare, read_hull_share
-from fourd.training.evaluation.held_out import HeldOutScore, read_score
-from fourd.training.run_layout import CHECKPOINTS, HULL, HULL_QUALITY, segment_folders
+from fourd.reconstruction.carving.matte_quality import HullShare, read_hull_share
+from fourd.reconstruction.training.evaluation.held_out import HeldOutScore, read_score
+from fourd.reconstruction.training.run_layout import CHECKPOINTS, HULL, HULL_QUALITY, segment_folders
 
 MIN_HULL_SHARE = 0.7
 """If the visual hull covers less than this fraction of the mattes' area, the summary has a warning."""

@@ -8,24 +8,24 @@ from pathlib import Path
 
 import torch
 
-from fourd.background.contraction import contraction_around
-from fourd.carving import read_bounds
-from fourd.configs import save_config
-from fourd.errors import MAX_REASON, UserError, one_line
-from fourd.files import resolved
-from fourd.formats.ply import read_ply
-from fourd.ops.gpu import choose_device, cuda_unavailable_reason
+from fourd.base.configs import save_config
+from fourd.base.errors import MAX_REASON, UserError, one_line
+from fourd.base.files import resolved
+from fourd.base.formats.ply import read_ply
 from fourd.pipeline.stage import Context, Leftovers, Stage
-from fourd.training.cameras.measured_colours import corrects_colours, read_measured_colours
-from fourd.training.cameras.selection import DataSelection, open_run_views
-from fourd.training.config import TrainConfig
-from fourd.training.distributed.process_group import ALONE, ProcessGroup
-from fourd.training.loop import Trainer
-from fourd.training.losses.lpips import load_lpips
-from fourd.training.points.near_plane import choose_near, read_static_near, sample_hull
-from fourd.training.points.spacing import mean_spacing
-from fourd.training.run import Run, RunConfig, SceneConfig, open_run
-from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, HULL, PREPARATION
+from fourd.reconstruction.background.contraction import contraction_around
+from fourd.reconstruction.carving import read_bounds
+from fourd.reconstruction.training.cameras.measured_colours import corrects_colours, read_measured_colours
+from fourd.reconstruction.training.cameras.selection import DataSelection, open_run_views
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.reconstruction.training.distributed.process_group import ALONE, ProcessGroup
+from fourd.reconstruction.training.loop import Trainer
+from fourd.reconstruction.training.losses.lpips import load_lpips
+from fourd.reconstruction.training.points.near_plane import choose_near, read_static_near, sample_hull
+from fourd.reconstruction.training.points.spacing import mean_spacing
+from fourd.reconstruction.training.run import Run, RunConfig, SceneConfig, open_run
+from fourd.reconstruction.training.run_layout import CHECKPOINTS, CONFIG_NAME, HULL, PREPARATION
+from fourd.rendering.ops.gpu import choose_device, cuda_unavailable_reason
 
 PREPARED_BY = ("adjust", "colours", "carve", "points", "background")
 """Names of the stages whose results training reads."""

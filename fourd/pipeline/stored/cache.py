@@ -14,19 +14,19 @@ from pathlib import Path
 
 import platformdirs
 
-from fourd.configs import save_config
-from fourd.errors import UserError
-from fourd.files import UNFINISHED, resolved, write_text_atomically
-from fourd.limits import read_json
+from fourd.base.configs import save_config
+from fourd.base.errors import UserError
+from fourd.base.files import UNFINISHED, resolved, write_text_atomically
+from fourd.base.limits import read_json
+from fourd.base.processes import locked_file
+from fourd.base.progress import Track, untracked
+from fourd.base.storage import StorageUrl, is_file_name
+from fourd.base.storage.downloading import RECORD
 from fourd.pipeline.stage import Leftovers
 from fourd.pipeline.stored.manifest import FileEntry, Manifest, file_state, is_config, link_state
 from fourd.pipeline.stored.work_store import WorkStore, new_attempt
-from fourd.processes import locked_file
-from fourd.progress import Track, untracked
-from fourd.storage import StorageUrl, is_file_name
-from fourd.storage.downloading import RECORD
-from fourd.training.run import load_run_config
-from fourd.training.run_layout import SCRATCH
+from fourd.reconstruction.training.run import load_run_config
+from fourd.reconstruction.training.run_layout import SCRATCH
 
 CACHE_VARIABLE = "FOURD_CACHE"
 """Environment variable with the path of the folder in which this machine keeps its local copies of folders for

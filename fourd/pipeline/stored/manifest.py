@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 
-from fourd.capture.layout import DERIVED
-from fourd.errors import UserError
-from fourd.storage import StorageUrl, is_file_name
-from fourd.training.run_layout import CONFIG_NAME
+from fourd.base.errors import UserError
+from fourd.base.storage import StorageUrl, is_file_name
+from fourd.reconstruction.training.run_layout import CONFIG_NAME
+from fourd.recording.capture.layout import DERIVED
 
 VERSION = 1
 LINKED = ("capture", "repaired", "still")

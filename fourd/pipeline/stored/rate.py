@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.capture.frame_rate import NAME, set_rate
 from fourd.pipeline.stage import Context, Stage
+from fourd.recording.capture.frame_rate import NAME, set_rate
 
 
 @dataclass(frozen=True)

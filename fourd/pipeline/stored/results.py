@@ -6,7 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.base.storage import Location, StorageUrl, list_objects
 from fourd.pipeline.fetch import FetchSettings
 from fourd.pipeline.record import StageEntry, shown_changes
 from fourd.pipeline.stage import Context, StageState
@@ -16,8 +17,7 @@ from fourd.pipeline.stored.unfinished import SUFFIX
 from fourd.pipeline.stored.unit import AnyStage, UnitFiles, fetch_source, unit_stage
 from fourd.pipeline.stored.work_store import WorkStore
 from fourd.pipeline.work_folder import RUN, TRAINING
-from fourd.storage import Location, StorageUrl, list_objects
-from fourd.training.run_layout import CHECKPOINTS
+from fourd.reconstruction.training.run_layout import CHECKPOINTS
 
 Execute = Callable[[Sequence[AnyStage], Context], Iterator[AnyStage]]
 

@@ -12,13 +12,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.base.processes import called_every
+from fourd.base.progress import Log, Track
 from fourd.pipeline.stored.cache import Cache
 from fourd.pipeline.stored.manifest import Manifest
 from fourd.pipeline.stored.work_store import WorkStore
-from fourd.processes import called_every
-from fourd.progress import Log, Track
-from fourd.training.run_layout import CHECKPOINTS
+from fourd.reconstruction.training.run_layout import CHECKPOINTS
 
 UPLOAD_SECONDS = 300.0
 """Seconds from the end of an upload to the start of the next one."""

@@ -9,16 +9,16 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.base.progress import Track
+from fourd.base.storage import StorageUrl, fetch, list_objects
 from fourd.pipeline.fetch import FetchSettings
 from fourd.pipeline.stage import Context, Stage
 from fourd.pipeline.stored.cache import Cache, Started, cache_folder
 from fourd.pipeline.stored.manifest import Manifest
 from fourd.pipeline.stored.unfinished import UPLOAD_SECONDS, Unfinished
 from fourd.pipeline.stored.work_store import WorkStore
-from fourd.progress import Track
-from fourd.storage import StorageUrl, fetch, list_objects
-from fourd.training.run_layout import SOURCE
+from fourd.reconstruction.training.run_layout import SOURCE
 
 AnyStage = Stage[Any, Any]
 

@@ -16,11 +16,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.errors import UserError
-from fourd.limits import MAX_TEXT_BYTES
-from fourd.pipeline.stored.manifest import Manifest, parse_manifest
-from fourd.progress import Track, untracked
-from fourd.storage import (
+from fourd.base.errors import UserError
+from fourd.base.limits import MAX_TEXT_BYTES
+from fourd.base.progress import Track, untracked
+from fourd.base.storage import (
     StorageUrl,
     check_writable,
     download,
@@ -30,6 +29,7 @@ from fourd.storage import (
     upload,
     upload_all,
 )
+from fourd.pipeline.stored.manifest import Manifest, parse_manifest
 
 MARK = "work.json"
 MARK_CONTENT = {"made by": "fourd make", "version": 1}

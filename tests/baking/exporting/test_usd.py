@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fourd.baking import SceneWriter, open_scene
-from fourd.baking.exporting.export import ExportSettings, export_scene
-from fourd.baking.splats.ply import read_splat_ply
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.scene import SceneWriter, open_scene
+from fourd.scene.exporting.export import ExportSettings, export_scene
+from fourd.scene.splats.ply import read_splat_ply
 from tests.baking.scenes import manifest, random_frame
 
 pytest.importorskip("pxr")

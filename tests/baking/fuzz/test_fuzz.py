@@ -14,11 +14,11 @@ from types import FrameType
 import numpy as np
 import pytest
 
-from fourd.baking import open_scene
-from fourd.baking.exporting.export import ExportSettings, Format, export_scene
-from fourd.baking.files.encoding import TIERS
-from fourd.baking.packing.pack import pack_scene
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.scene import open_scene
+from fourd.scene.exporting.export import ExportSettings, Format, export_scene
+from fourd.scene.files.encoding import TIERS
+from fourd.scene.packing.pack import pack_scene
 from tests.baking.damage import damage
 from tests.baking.fuzz.mutations import SceneMutator
 from tests.baking.scenes import read_frames, write_full_scene, write_scene

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.cameras import Camera
-from fourd.formats.mesh import Mesh
+from fourd.base.cameras import Camera
+from fourd.base.formats.mesh import Mesh
 
 FOCAL = 200.0
 DISTANCE = 3.0

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fourd.baking.meshes import drawing
-from fourd.baking.meshes.drawing import draw_mesh
-from fourd.cameras import look_at
-from fourd.ops.stylize.op import stylize_surface
+from fourd.base.cameras import look_at
+from fourd.rendering.ops.stylize.op import stylize_surface
+from fourd.scene.meshes import drawing
+from fourd.scene.meshes.drawing import draw_mesh
 from tests.baking.meshes.shapes import DISTANCE, FOCAL, front_camera, plane, sphere
 from tests.stylize.surfaces import line_parameters, make_plane, make_sphere
 

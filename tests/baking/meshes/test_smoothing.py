@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fourd.baking.meshes.smoothing import smooth_normals
-from fourd.formats.mesh import Mesh
+from fourd.base.formats.mesh import Mesh
+from fourd.scene.meshes.smoothing import smooth_normals
 from tests.baking.meshes.shapes import sphere
 
 

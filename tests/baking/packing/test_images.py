@@ -15,15 +15,15 @@ import pytest
 import zstandard
 from numpy.typing import NDArray
 
-from fourd.baking import BakedFrame, SceneReader, SceneWriter
-from fourd.baking.packed.colours import mean_colours
-from fourd.baking.packed.images import HEADER, bilinear, decode_image, project
-from fourd.baking.packed.streams import StreamError
-from fourd.baking.packing.images import choose_scale, fit_plane, make_image
-from fourd.baking.packing.pack import pack_scene
-from fourd.baking.packing.precision import LEVELS
+from fourd.base.errors import UserError
 from fourd.cli.main import main
-from fourd.errors import UserError
+from fourd.scene import BakedFrame, SceneReader, SceneWriter
+from fourd.scene.packed.colours import mean_colours
+from fourd.scene.packed.images import HEADER, bilinear, decode_image, project
+from fourd.scene.packed.streams import StreamError
+from fourd.scene.packing.images import choose_scale, fit_plane, make_image
+from fourd.scene.packing.pack import pack_scene
+from fourd.scene.packing.precision import LEVELS
 from tests.baking.packing.test_pack import natural_frame
 from tests.baking.scenes import manifest, ring, write_full_scene
 from tests.baking.test_container import rewritten, with_manifest

@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.baking import SceneReader, SceneWriter
-from fourd.baking.files.encoding import Tier
-from fourd.baking.packed.colours import mean_colours
-from fourd.baking.packed.members import decode_cloud, encode_cloud, morton_sorted
-from fourd.baking.packed.streams import stored
-from fourd.baking.packing.bounds import check_bounds
-from fourd.baking.packing.fit import fit_encoding, sample_cloud
-from fourd.baking.packing.pack import measure_frames, pack_scene
-from fourd.baking.packing.precision import DEFAULT_LEVELS, LEVELS, Precision
-from fourd.baking.packing.rate import CANDIDATES
-from fourd.baking.packing.visible import find_visible
-from fourd.baking.rendering import render_frame
-from fourd.baking.scene import BakedFrame, make_frame
+from fourd.scene import SceneReader, SceneWriter
+from fourd.scene.files.encoding import Tier
+from fourd.scene.packed.colours import mean_colours
+from fourd.scene.packed.members import decode_cloud, encode_cloud, morton_sorted
+from fourd.scene.packed.streams import stored
+from fourd.scene.packing.bounds import check_bounds
+from fourd.scene.packing.fit import fit_encoding, sample_cloud
+from fourd.scene.packing.pack import measure_frames, pack_scene
+from fourd.scene.packing.precision import DEFAULT_LEVELS, LEVELS, Precision
+from fourd.scene.packing.rate import CANDIDATES
+from fourd.scene.packing.visible import find_visible
+from fourd.scene.rendering import render_frame
+from fourd.scene.scene import BakedFrame, make_frame
 from tests.baking.packing.test_pack import natural_frame
 from tests.baking.scenes import manifest, random_frame, ring
 

@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 import zstandard
 
-from fourd.baking import BakedFrame, SceneReader, open_scene
-from fourd.baking.files.encoding import Tier
-from fourd.baking.packed.colours import fill_unseen_colours, mean_colours
-from fourd.baking.packed.members import encode_cloud, morton_sorted, view_member
-from fourd.baking.packing.bounds import check_bounds
-from fourd.baking.packing.fit import fit_encoding, sample_cloud
-from fourd.baking.packing.pack import pack_scene
-from fourd.baking.packing.precision import LEVELS
-from fourd.baking.scene import make_frame
-from fourd.errors import UserError
-from fourd.ops.morton import gather_bits, spread_bits
+from fourd.base.errors import UserError
+from fourd.rendering.ops.morton import gather_bits, spread_bits
+from fourd.scene import BakedFrame, SceneReader, open_scene
+from fourd.scene.files.encoding import Tier
+from fourd.scene.packed.colours import fill_unseen_colours, mean_colours
+from fourd.scene.packed.members import encode_cloud, morton_sorted, view_member
+from fourd.scene.packing.bounds import check_bounds
+from fourd.scene.packing.fit import fit_encoding, sample_cloud
+from fourd.scene.packing.pack import pack_scene
+from fourd.scene.packing.precision import LEVELS
+from fourd.scene.scene import make_frame
 from tests.baking.damage import damage
 from tests.baking.scenes import manifest, random_frame, ring, write_full_scene, write_scene
 from tests.baking.test_container import rewritten, with_manifest
@@ -88,7 +88,7 @@ def test_a_packed_scene_looks_like_its_source(tier: Tier, tmp_path: Path, rng: n
     """Catches errors in packing, reading or rendering. The tier light keeps only smooth colours, so its limit is
     lower.
     """
-    from fourd.baking import SceneWriter
+    from fourd.scene import SceneWriter
 
     source, out = tmp_path / "scene.4dv", tmp_path / "packed.4dv"
     with SceneWriter(source, manifest(6, 1)) as writer:
@@ -157,7 +157,7 @@ def test_a_scene_is_packed_in_place(scene: Path) -> None:
 
 def test_frames_without_points_are_packed(tmp_path: Path) -> None:
     """Catches a minimum over no points."""
-    from fourd.baking import SceneWriter
+    from fourd.scene import SceneWriter
 
     source, out = tmp_path / "scene.4dv", tmp_path / "packed.4dv"
     with SceneWriter(source, manifest(3, 2)) as writer:
@@ -170,7 +170,7 @@ def test_frames_without_points_are_packed(tmp_path: Path) -> None:
 
 def test_a_scene_without_frames_is_refused(tmp_path: Path) -> None:
     """Catches a traceback from computing the bounds of a scene without points."""
-    from fourd.baking import SceneWriter
+    from fourd.scene import SceneWriter
 
     with SceneWriter(tmp_path / "scene.4dv", manifest(3, 0)):
         pass

@@ -11,14 +11,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fourd.baking.shade import shade
-from fourd.baking.splats.cloud import SplatCloud, rotate_cloud
-from fourd.baking.splats.frames import MAX_HALF, MAX_PIECES, SPLAT_SH_BASE, SPLAT_SH_RANGE, frame_from_splats
-from fourd.baking.splats.ply import read_splat_ply, write_splat_ply
-from fourd.baking.splats.raw import read_splat, write_splat
-from fourd.baking.splats.reader import SplatReader
-from fourd.errors import UserError
-from fourd.ops.shade.harmonics import SH_CONSTANT, directional_terms
+from fourd.base.errors import UserError
+from fourd.rendering.ops.shade.harmonics import SH_CONSTANT, directional_terms
+from fourd.scene.shade import shade
+from fourd.scene.splats.cloud import SplatCloud, rotate_cloud
+from fourd.scene.splats.frames import MAX_HALF, MAX_PIECES, SPLAT_SH_BASE, SPLAT_SH_RANGE, frame_from_splats
+from fourd.scene.splats.ply import read_splat_ply, write_splat_ply
+from fourd.scene.splats.raw import read_splat, write_splat
+from fourd.scene.splats.reader import SplatReader
 from tests.baking.damage import damage
 from tests.baking.scenes import manifest
 

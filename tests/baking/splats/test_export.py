@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.baking import open_scene
-from fourd.baking.exporting.export import FORMATS, ExportSettings, Format, export_scene
-from fourd.baking.splats.cloud import SplatCloud
-from fourd.baking.splats.ply import read_splat_ply, write_splat_ply
-from fourd.baking.splats.reader import SplatReader, is_splats
-from fourd.cameras import estimate_up
-from fourd.errors import UserError
-from fourd.formats.ply import read_ply, write_ply
+from fourd.base.cameras import estimate_up
+from fourd.base.errors import UserError
+from fourd.base.formats.ply import read_ply, write_ply
+from fourd.scene import open_scene
+from fourd.scene.exporting.export import FORMATS, ExportSettings, Format, export_scene
+from fourd.scene.splats.cloud import SplatCloud
+from fourd.scene.splats.ply import read_splat_ply, write_splat_ply
+from fourd.scene.splats.reader import SplatReader, is_splats
 from tests.baking.scenes import write_scene
 from tests.viewer.web.npm import installed
 

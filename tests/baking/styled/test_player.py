@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.baking import BakedFrame, SceneManifest, SceneReader, SceneWriter, combine_frames, shade
-from fourd.baking.packing.pack import pack_scene
-from fourd.baking.styled.normals import FrameNormals, add_normals
-from fourd.baking.styled.player import StyledPlayer
-from fourd.ops.loading import load_native
-from fourd.ops.play.op import MIN_TRANSMITTANCE
-from fourd.ops.points.arrays import render_points_numpy
-from fourd.ops.stylize.reference import front_weight
-from fourd.stylize import PRESETS, decode_octahedral, load_style
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.ops.play.op import MIN_TRANSMITTANCE
+from fourd.rendering.ops.points.arrays import render_points_numpy
+from fourd.rendering.ops.stylize.reference import front_weight
+from fourd.scene import BakedFrame, SceneManifest, SceneReader, SceneWriter, combine_frames, shade
+from fourd.scene.packing.pack import pack_scene
+from fourd.scene.styled.normals import FrameNormals, add_normals
+from fourd.scene.styled.player import StyledPlayer
+from fourd.scene.styles import PRESETS, decode_octahedral, load_style
 from tests.baking.scenes import full_manifest, manifest, random_frame, room_frame
 
 MANIFEST: SceneManifest = manifest()

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.calibration.checks.agreement import Agreement, CaptureMatches, assess_agreement
-from fourd.calibration.checks.verdict import Verdict, describe_residuals, describe_verified, judge
-from fourd.calibration.matching import Matches
-from fourd.calibration.residuals import Pair
-from fourd.cameras import Camera
+from fourd.base.cameras import Camera
+from fourd.recording.calibration.checks.agreement import Agreement, CaptureMatches, assess_agreement
+from fourd.recording.calibration.checks.verdict import Verdict, describe_residuals, describe_verified, judge
+from fourd.recording.calibration.matching import Matches
+from fourd.recording.calibration.residuals import Pair
 from tests.captures import ring_cameras
 
 NAMES = ("00", "01", "02", "03", "04", "05")

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from fourd.capture.checks import damage
-from fourd.capture.checks.damage import PROBES, decode_pictures
-from fourd.progress import untracked
+from fourd.base.progress import untracked
+from fourd.recording.capture.checks import damage
+from fourd.recording.capture.checks.damage import PROBES, decode_pictures
 
 FILES = [Path(f"{camera:02d}/{frame:06d}.jpg") for camera in range(10) for frame in range(100)]
 

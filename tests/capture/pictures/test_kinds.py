@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from PIL import Image, ImageFile, TiffImagePlugin, WebPImagePlugin
 
-from fourd.cameras import Camera
-from fourd.capture import open_capture, write_calibration
-from fourd.capture.check import check_capture
-from fourd.capture.decoding import decode_rgb, picture_size, read_header
-from fourd.capture.pictures.bits import check_bits
-from fourd.errors import UserError
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
 from fourd.pipeline.capture_graph import has_masks
+from fourd.recording.capture import open_capture, write_calibration
+from fourd.recording.capture.check import check_capture
+from fourd.recording.capture.decoding import decode_rgb, picture_size, read_header
+from fourd.recording.capture.pictures.bits import check_bits
 from tests.captures import ring_cameras, write_ball_capture
 
 WIDTH, HEIGHT = 24, 16

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fourd.capture.pictures.masks import MaskFolder
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.recording.capture.pictures.masks import MaskFolder
 
 SIDE = 48
 Inside = np.ndarray

@@ -6,8 +6,8 @@ import random
 
 import pytest
 
-from fourd.capture.pictures.moments import match_frames, match_masks
-from fourd.formats.frame_numbers import sort_sequence, varying_numbers
+from fourd.base.formats.frame_numbers import sort_sequence, varying_numbers
+from fourd.recording.capture.pictures.moments import match_frames, match_masks
 
 PATTERNS = (
     ("plain", "{n}", "{n:06d}"),

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from av.stream import Disposition
 
-from fourd.capture.streams.interlacing import CombCounter
-from fourd.capture.video import VideoReader, first_frame, index_video
-from fourd.errors import UserError
-from fourd.processes.isolation import ParserProcess
+from fourd.base.errors import UserError
+from fourd.base.processes.isolation import ParserProcess
+from fourd.recording.capture.streams.interlacing import CombCounter
+from fourd.recording.capture.video import VideoReader, first_frame, index_video
 from tests.capture.streams.coded_videos import FPS, Coding, number_of, numbered_picture, open_output, write
 
 NUMBERS = range(12)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from av.packet import Packet
 
-from fourd.capture.streams.index import VideoIndex
-from fourd.capture.video import VideoReader, index_video
-from fourd.errors import UserError
-from fourd.processes.isolation import ParserProcess
+from fourd.base.errors import UserError
+from fourd.base.processes.isolation import ParserProcess
+from fourd.recording.capture.streams.index import VideoIndex
+from fourd.recording.capture.video import VideoReader, index_video
 from tests.capture.streams.coded_videos import (
     CODECS,
     FPS,

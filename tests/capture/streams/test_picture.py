@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fourd.capture.streams.picture import to_rgb
+from fourd.recording.capture.streams.picture import to_rgb
 from tests.capture.phone_videos import make_frame, moving_picture
 
 

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.capture import read_calibration, write_calibration
 from fourd.cli.main import main
+from fourd.recording.capture import read_calibration, write_calibration
 
 
 @pytest.fixture

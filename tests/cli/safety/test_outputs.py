@@ -14,9 +14,9 @@ from typing import Any, get_args, get_type_hints
 
 import pytest
 
+from fourd.base.storage import StorageUrl
 from fourd.cli.main import COMMANDS, main
 from fourd.cli.outputs import Reads, Writes, find_mark
-from fourd.storage import StorageUrl
 
 CASES: dict[tuple[str, str], list[str]] = {
     ("make", "out"): ["{in}", "-o", "{out}"],

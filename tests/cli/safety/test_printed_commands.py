@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from fourd.base.errors import command_line
 from fourd.cli.main import COMMANDS, main
-from fourd.errors import command_line
 
 ROOT = Path(__file__).parents[3]
 VALUE = "\0"
@@ -31,7 +31,8 @@ def texts(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def test_every_printed_command_is_quoted() -> None:
-    """Catches a command with a path that a shell would split at spaces. Such texts need fourd.errors.command_line."""
+    """Catches a command with a path that a shell would split at spaces. Such texts need
+    fourd.base.errors.command_line."""
     found = [
         f"{path.relative_to(ROOT)}:{line}: {text.replace(VALUE, '{}')}"
         for folder in ("fourd", "viewer", "examples", "tools")

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.cameras import Camera
-from fourd.errors import UserError
-from fourd.importing.detection import FORMATS
-from fourd.importing.imported import Imported, PictureFiles, VideoFile
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
+from fourd.recording.importing.detection import FORMATS
+from fourd.recording.importing.imported import Imported, PictureFiles, VideoFile
 from tests.captures import ring_cameras
 
 WIDTH, HEIGHT = 24, 16

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fourd.importing.formats.actorshq import read
+from fourd.recording.importing.formats.actorshq import read
 from tests.importing.formats.sources import (
     assert_damage_is_reported,
     assert_refused,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fourd.importing.formats.anipose import looks_like, read
+from fourd.recording.importing.formats.anipose import looks_like, read
 from tests.importing.formats.sources import (
     BARREL,
     assert_damage_is_reported,

@@ -12,8 +12,8 @@ import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fourd.cameras import Camera
-from fourd.importing.formats.colmap import read
+from fourd.base.cameras import Camera
+from fourd.recording.importing.formats.colmap import read
 from tests.importing.formats.sources import (
     HEIGHT,
     WIDTH,

@@ -9,9 +9,9 @@ import h5py
 import numpy as np
 import pytest
 
-from fourd.errors import UserError
-from fourd.importing.formats.dna_rendering import read
-from fourd.importing.imported import EncodedPictures
+from fourd.base.errors import UserError
+from fourd.recording.importing.formats.dna_rendering import read
+from fourd.recording.importing.imported import EncodedPictures
 from tests.importing.formats.sources import (
     BARREL,
     assert_damage_is_reported,

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.capture import read_calibration
-from fourd.errors import UserError
-from fourd.importing.formats.easymocap import read
+from fourd.base.errors import UserError
+from fourd.recording.capture import read_calibration
+from fourd.recording.importing.formats.easymocap import read
 from tests.importing.formats.sources import (
     BARREL,
     HEIGHT,

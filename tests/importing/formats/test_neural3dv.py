@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.cameras import Camera
-from fourd.importing.formats.neural3dv import read
+from fourd.base.cameras import Camera
+from fourd.recording.importing.formats.neural3dv import read
 from tests.importing.formats.sources import (
     assert_damage_is_reported,
     assert_refused,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fourd.importing.formats.panoptic_sports import read
+from fourd.recording.importing.formats.panoptic_sports import read
 from tests.importing.formats.sources import (
     HEIGHT,
     WIDTH,

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.cameras import Camera
-from fourd.importing.formats.qualisys import read, read_cameras
+from fourd.base.cameras import Camera
+from fourd.recording.importing.formats.qualisys import read, read_cameras
 from tests.importing.formats.sources import (
     BARREL,
     assert_damage_is_reported,

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fourd.cameras import Camera
-from fourd.importing.formats.transforms_json import read
+from fourd.base.cameras import Camera
+from fourd.recording.importing.formats.transforms_json import read
 from tests.importing.formats.sources import (
     BARREL,
     HEIGHT,

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from fourd.importing.detection import FORMATS
-from fourd.importing.formats.videos import looks_like, read
+from fourd.recording.importing.detection import FORMATS
+from fourd.recording.importing.formats.videos import looks_like, read
 from tests.importing.formats.sources import assert_refused, detect_format, file_names, write_pictures, write_video
 
 

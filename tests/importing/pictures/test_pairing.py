@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fourd.cameras import Camera
-from fourd.capture import open_capture, write_calibration
-from fourd.errors import UserError
-from fourd.importing.detection import pick_format
-from fourd.importing.importer import ImportOptions, import_source
-from fourd.progress import untracked
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
+from fourd.base.progress import untracked
+from fourd.recording.capture import open_capture, write_calibration
+from fourd.recording.importing.detection import pick_format
+from fourd.recording.importing.importer import ImportOptions, import_source
 from tests.captures import ring_cameras
 
 SIZE = 32

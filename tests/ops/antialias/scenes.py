@@ -9,7 +9,7 @@ import torch
 import trimesh
 from torch import Tensor
 
-from fourd.ops.meshes.ids import encode_ids
+from fourd.rendering.ops.meshes.ids import encode_ids
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.loading import load_native
-from fourd.raster.triangles import antialias, antialias_construct_topology
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.triangles import antialias, antialias_construct_topology
 from tests.ops.antialias.scenes import Scene, random_scene
 
 

@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.antialias.topology import opposite_vertices
-from fourd.raster.triangles import antialias
+from fourd.rendering.ops.antialias.topology import opposite_vertices
+from fourd.rendering.triangles import antialias
 from tests.ops.antialias.scenes import RECTANGLE, rasterize_brute_force, rectangle
 
 HEIGHT, WIDTH = 9, 12

@@ -10,8 +10,8 @@ import torch
 import trimesh
 from torch import Tensor
 
-from fourd.ops.antialias.topology import opposite_vertices
-from fourd.raster.triangles import antialias, antialias_construct_topology, rasterize
+from fourd.rendering.ops.antialias.topology import opposite_vertices
+from fourd.rendering.triangles import antialias, antialias_construct_topology, rasterize
 
 BACKENDS = ("cpu", "reference")
 

@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.loading import load_native
-from fourd.raster.triangles import antialias, antialias_construct_topology, edge_gradients
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.triangles import antialias, antialias_construct_topology, edge_gradients
 from tests.ops.antialias.scenes import RECTANGLE, Scene, random_scene, rasterize_brute_force, rectangle
 
 SIDE = 12

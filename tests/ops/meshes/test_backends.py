@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from fourd.ops.gpu import cuda_unavailable_reason
-from fourd.ops.meshes.backends import select_backend
+from fourd.rendering.ops.gpu import cuda_unavailable_reason
+from fourd.rendering.ops.meshes.backends import select_backend
 
 
 def test_cpu_tensors_use_the_kernels_or_the_reference() -> None:

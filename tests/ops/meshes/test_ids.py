@@ -2,7 +2,7 @@ import math
 
 import torch
 
-from fourd.ops.meshes.ids import decode_ids, encode_ids
+from fourd.rendering.ops.meshes.ids import decode_ids, encode_ids
 
 
 def test_ids_round_trip_around_the_last_exact_float() -> None:

@@ -9,9 +9,9 @@ import pytest
 import scipy.ndimage
 from numpy.typing import NDArray
 
-from fourd.ops.stylize.op import stylize_surface
-from fourd.ops.stylize.parameters import DETAILS, LINE_FILTERS, Numbers, StyleParameters, Surface, speck_reach
-from fourd.ops.stylize.reference import find_lines, look_up, remove_specks, stylize_reference
+from fourd.rendering.ops.stylize.op import stylize_surface
+from fourd.rendering.ops.stylize.parameters import DETAILS, LINE_FILTERS, Numbers, StyleParameters, Surface, speck_reach
+from fourd.rendering.ops.stylize.reference import find_lines, look_up, remove_specks, stylize_reference
 from tests.stylize.surfaces import (
     line_parameters,
     make_plane,

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fourd.raster.triangles import texture
+from fourd.rendering.triangles import texture
 
 FILTERS = ("nearest", "linear", "linear-mipmap-nearest", "linear-mipmap-linear")
 BOUNDARIES = ("wrap", "clamp", "zero", "cube")

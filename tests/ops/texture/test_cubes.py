@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.texture.cubes import face_axes, pad_cube
-from fourd.raster.triangles import texture
+from fourd.rendering.ops.texture.cubes import face_axes, pad_cube
+from fourd.rendering.triangles import texture
 
 BACKENDS = ["cpu", "reference"]
 

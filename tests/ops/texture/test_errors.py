@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.ops.loading import load_native
-from fourd.raster.triangles import texture, texture_construct_mip
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.triangles import texture, texture_construct_mip
 
 TEX = torch.zeros(1, 8, 8, 3)
 UV = torch.zeros(2, 4, 5, 2)
@@ -77,7 +77,7 @@ def test_faces_must_be_square() -> None:
 
 
 def test_the_binding_refuses_chains_with_odd_sides() -> None:
-    """Catches mip levels that are written past the end of their array, if a caller does not use fourd.raster."""
+    """Catches mip levels that are written past the end of their array, if a caller does not use fourd.rendering."""
     fine, coarse = np.zeros((1, 1, 2, 3, 2), np.float32), np.zeros((1, 1, 1, 1, 2), np.float32)
     with pytest.raises(ValueError, match="expected even sides in every level before the last"):
         load_native().build_mips(fine, 1, "baseline", [coarse])

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.raster.triangles import texture
+from fourd.rendering.triangles import texture
 from tests.ops.texture.inputs import BOUNDARIES, FILTERS, Lookup, smooth_lookup, values_and_gradients
 
 STEP = 1e-6

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.raster.triangles import texture, texture_construct_mip
+from fourd.rendering.triangles import texture, texture_construct_mip
 
 BACKENDS = ["cpu", "reference"]
 

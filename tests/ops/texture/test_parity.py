@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.loading import load_native
-from fourd.raster.triangles import texture, texture_construct_mip
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.triangles import texture, texture_construct_mip
 from tests.ops.texture.inputs import BOUNDARIES, FILTERS, Lookup, random_lookup, values_and_gradients
 
 NAMES = ("picture", "tex", "uv", "uv_da", "mip_level_bias")

@@ -1,4 +1,4 @@
-"""Arguments that nvdiffrast accepts and fourd.raster.triangles does not."""
+"""Arguments that nvdiffrast accepts and fourd.rendering.triangles does not."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-import fourd.raster.nvdiffrast as dr
-from fourd.raster import triangles
+import fourd.rendering.nvdiffrast as dr
+from fourd.rendering import triangles
 
 POS = torch.tensor([[[-0.8, -0.8, 0, 1], [0.8, -0.8, 0, 1], [-0.8, 0.8, 0, 1.0], [0.8, 0.8, 0.1, 1]]])
 TRI = torch.tensor([[0, 1, 2], [1, 3, 2]], dtype=torch.int32)

@@ -1,4 +1,5 @@
-"""Tests that scripts for nvdiffrast.torch run with fourd.raster.nvdiffrast after only their import line is changed."""
+"""Tests that scripts for nvdiffrast.torch run with fourd.rendering.nvdiffrast after only their import line is
+changed."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-import fourd.raster.nvdiffrast as dr
+import fourd.rendering.nvdiffrast as dr
 
 SCRIPTS = Path(__file__).parent / "scripts"
 
@@ -20,7 +21,7 @@ def run(name: str, folder: Path) -> dict[str, Any]:
     line = "import nvdiffrast.torch as dr\n"
     assert text.count(line) == 1
     copy = folder / f"{name}.py"
-    copy.write_text(text.replace(line, "import fourd.raster.nvdiffrast as dr\n"), encoding="utf-8")
+    copy.write_text(text.replace(line, "import fourd.rendering.nvdiffrast as dr\n"), encoding="utf-8")
     return runpy.run_path(str(copy))["result"]
 
 

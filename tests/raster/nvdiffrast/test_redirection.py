@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.raster.nvdiffrast import run_on_cpu
+from fourd.rendering.nvdiffrast import run_on_cpu
 
 SCRIPTS = Path(__file__).parent / "scripts"
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "fourd.raster.nvdiffrast", *arguments]
+    command = [sys.executable, "-m", "fourd.rendering.nvdiffrast", *arguments]
     return subprocess.run(command, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
 
 
@@ -32,7 +32,7 @@ def test_a_script_for_cuda_runs_unchanged_and_its_replaced_calls_are_named() -> 
         lines = [line for line in done.stderr.splitlines() if call in line]
         assert len(lines) == 1
         assert lines[0].startswith("run_on_cpu: cuda_cube.py:")
-    assert "import nvdiffrast.torch gives fourd.raster.nvdiffrast" in done.stderr
+    assert "import nvdiffrast.torch gives fourd.rendering.nvdiffrast" in done.stderr
 
 
 def test_a_missing_script_is_named() -> None:
@@ -40,9 +40,9 @@ def test_a_missing_script_is_named() -> None:
     done = run("missing.py")
     assert done.returncode == 2
     assert done.stderr == (
-        "error: SCRIPT: expected a Python file, got missing.py; see python -m fourd.raster.nvdiffrast --help\n"
+        "error: SCRIPT: expected a Python file, got missing.py; see python -m fourd.rendering.nvdiffrast --help\n"
     )
-    assert run("--help").stdout.startswith("usage: python -m fourd.raster.nvdiffrast [--cpu] SCRIPT")
+    assert run("--help").stdout.startswith("usage: python -m fourd.rendering.nvdiffrast [--cpu] SCRIPT")
 
 
 def test_everything_is_restored_at_the_end() -> None:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.lenses.lens import Pinhole
-from fourd.ops.loading import load_native
-from fourd.ops.points.arrays import render_points_numpy
-from fourd.ops.rays.cuda import GpuDiscTree
-from fourd.ops.rays.discs import DiscTree
-from fourd.ops.rays.reference import composite_discs_reference
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.ops.points.arrays import render_points_numpy
+from fourd.rendering.ops.rays.cuda import GpuDiscTree
+from fourd.rendering.ops.rays.discs import DiscTree
+from fourd.rendering.ops.rays.reference import composite_discs_reference
+from fourd.scene.lenses.lens import Pinhole
 from tests.baking.scenes import ring
 
 

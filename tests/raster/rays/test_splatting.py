@@ -7,10 +7,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.cameras import Camera
-from fourd.lenses.lens import Pinhole
-from fourd.raster.rays import Bvh, splat_along_rays
-from fourd.raster.triangles import splat_triangles
+from fourd.base.cameras import Camera
+from fourd.rendering.rays import Bvh, splat_along_rays
+from fourd.rendering.triangles import splat_triangles
+from fourd.scene.lenses.lens import Pinhole
 from tests.baking.scenes import ring
 
 Soup = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]

@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.loading import load_native
-from fourd.ops.rays.op import trace_rays
-from fourd.raster.rays import Bvh, Hits, occluded, trace, visibility
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.ops.rays.op import trace_rays
+from fourd.rendering.rays import Bvh, Hits, occluded, trace, visibility
 from tests.raster.rays.soups import hard_soup, random_rays, random_soup, rays_at_vertices, sphere
 
 Mesh = tuple[Tensor, Tensor]
@@ -291,7 +291,7 @@ def test_wrong_arguments_are_named(rng: np.random.Generator) -> None:
 
 
 def test_the_bindings_check_arguments() -> None:
-    """Catches a division by zero and reads past the end of arrays, if a caller does not use fourd.raster."""
+    """Catches a division by zero and reads past the end of arrays, if a caller does not use fourd.rendering."""
     native, rays, xyz = load_native(), np.ones((4, 3), np.float32), np.ones((3, 3), np.float32)
     tri = np.array([[0, 1, 2], [0, 1, 3], [-1, 1, 2]], np.int32)
     none, outputs = np.zeros((4, 0), np.float32), (np.zeros_like(xyz), np.zeros_like(rays), np.zeros_like(rays))

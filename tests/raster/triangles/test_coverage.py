@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.meshes.ids import decode_ids
-from fourd.raster.triangles import rasterize
+from fourd.rendering.ops.meshes.ids import decode_ids
+from fourd.rendering.triangles import rasterize
 from tests.raster.triangles.scenes import each_alone, grid, with_w
 
 BACKENDS = ["cpu", "reference"]

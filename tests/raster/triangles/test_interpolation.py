@@ -7,10 +7,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.interpolate.op import interpolate_attributes
-from fourd.ops.loading import load_native
-from fourd.ops.meshes.ids import encode_ids
-from fourd.raster.triangles import interpolate, rasterize
+from fourd.rendering.ops.interpolate.op import interpolate_attributes
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.ops.meshes.ids import encode_ids
+from fourd.rendering.triangles import interpolate, rasterize
 from tests.raster.triangles.scenes import soup
 
 SIZE = (45, 70)

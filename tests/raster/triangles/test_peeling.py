@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.cameras import Camera
-from fourd.ops.meshes.ids import decode_ids
-from fourd.raster.triangles import DepthPeeler, clip_matrix, interpolate, rasterize
+from fourd.base.cameras import Camera
+from fourd.rendering.ops.meshes.ids import decode_ids
+from fourd.rendering.triangles import DepthPeeler, clip_matrix, interpolate, rasterize
 from tests.raster.triangles.scenes import soup, with_w
 
 SIZE = (40, 50)

@@ -9,9 +9,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.loading import load_native
-from fourd.ops.rasterize.op import rasterize_triangles
-from fourd.raster.triangles import DepthPeeler, rasterize
+from fourd.rendering.ops.loading import load_native
+from fourd.rendering.ops.rasterize.op import rasterize_triangles
+from fourd.rendering.triangles import DepthPeeler, rasterize
 from tests.raster.triangles.scenes import soup
 
 SIZE = (45, 70)

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 import torch
 
-from fourd.ops.points.validation import pack_camera
-from fourd.raster.triangles import rasterize_soft
+from fourd.rendering.ops.points.validation import pack_camera
+from fourd.rendering.triangles import rasterize_soft
 from tests.raster.clouds import turned_camera
 from tests.raster.triangles.test_splatting import front_camera
 
@@ -82,7 +82,7 @@ def test_messages(changes: dict[str, Any], error: type[Exception], message: str)
 
 @pytest.mark.parametrize("vertex", [-1, 6])
 def test_the_operators_check_vertex_indices(vertex: int) -> None:
-    """Catches reads past the end of the positions, if a caller does not use fourd.raster."""
+    """Catches reads past the end of the positions, if a caller does not use fourd.rendering."""
     xyz, tri, features = torch.rand(6, 3), torch.tensor([[0, 1, vertex]]).int(), torch.rand(1, 3)
     camera, softness = pack_camera(turned_camera(8, 8)), [0, 1e-4, 1e-2, 1e-3, 0.1, 10, 1e-3]
     with pytest.raises(ValueError, match="tri: expected indices of vertices"):

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.errors import UserError
-from fourd.training.cameras.measured_colours import (
+from fourd.base.errors import UserError
+from fourd.reconstruction.training.cameras.measured_colours import (
     MeasuredColours,
     corrects_colours,
     read_measured_colours,
     write_measured_colours,
 )
-from fourd.training.cameras.refinement import Refinement
-from fourd.training.config import RefineConfig
+from fourd.reconstruction.training.cameras.refinement import Refinement
+from fourd.reconstruction.training.config import RefineConfig
 from tests.captures import ring_cameras
 
 DARK = np.column_stack([0.8 * np.eye(3), np.full(3, 0.01)])

@@ -15,22 +15,22 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fourd.baking.bake import make_manifest
-from fourd.calibration.perturbation import perturb_cameras, pose_errors
-from fourd.cameras import Camera
-from fourd.capture import open_capture, read_calibration, write_calibration
-from fourd.errors import UserError
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
 from fourd.pipeline.make import create_run
-from fourd.raster import render_points
-from fourd.training.cameras.calibration import with_start_cameras, write_corrected, zoomed_distortion
-from fourd.training.cameras.refinement import Refinement
-from fourd.training.cameras.rig import Rig
-from fourd.training.config import RefineConfig, TrainConfig
-from fourd.training.evaluation.camera_fitting import fit_test_camera
-from fourd.training.loop import Trainer
-from fourd.training.rendering import RenderablePoints
-from fourd.training.run import load_run, open_run
-from fourd.training.step import StepResult
+from fourd.reconstruction.training.cameras.calibration import with_start_cameras, write_corrected, zoomed_distortion
+from fourd.reconstruction.training.cameras.refinement import Refinement
+from fourd.reconstruction.training.cameras.rig import Rig
+from fourd.reconstruction.training.config import RefineConfig, TrainConfig
+from fourd.reconstruction.training.evaluation.camera_fitting import fit_test_camera
+from fourd.reconstruction.training.loop import Trainer
+from fourd.reconstruction.training.rendering import RenderablePoints
+from fourd.reconstruction.training.run import load_run, open_run
+from fourd.reconstruction.training.step import StepResult
+from fourd.recording.calibration.perturbation import perturb_cameras, pose_errors
+from fourd.recording.capture import open_capture, read_calibration, write_calibration
+from fourd.rendering import render_points
+from fourd.scene.bake import make_manifest
 from tests.captures import ring_cameras
 from tests.training.small import SMALL, full_config, quiet, train, trained_run, with_steps
 from tests.training.test_loop import checkpoint_tensors

@@ -13,15 +13,15 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from fourd.base.errors import UserError
 from fourd.cli.main import main
-from fourd.errors import UserError
 from fourd.pipeline.make import create_run
 from fourd.pipeline.stages.train import require_divisible, require_frames
-from fourd.training.distributed.process_group import ALONE, ProcessGroup, join_process_group
-from fourd.training.loop import Trainer
-from fourd.training.metrics_log import NoLog
-from fourd.training.run import load_run, open_run
-from fourd.training.schedule import StepSampler
+from fourd.reconstruction.training.distributed.process_group import ALONE, ProcessGroup, join_process_group
+from fourd.reconstruction.training.loop import Trainer
+from fourd.reconstruction.training.metrics_log import NoLog
+from fourd.reconstruction.training.run import load_run, open_run
+from fourd.reconstruction.training.schedule import StepSampler
 from tests.training.distributed.workers import frame_gradients, record_gradients, small_model
 from tests.training.small import SMALL, quiet, trained_run
 
@@ -197,7 +197,7 @@ def test_an_address_that_nobody_answers_is_refused(monkeypatch: pytest.MonkeyPat
         port = free.getsockname()[1]
     for name, value in {"RANK": "1", "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}.items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr("fourd.training.distributed.process_group.JOIN_SECONDS", 0.5)
+    monkeypatch.setattr("fourd.reconstruction.training.distributed.process_group.JOIN_SECONDS", 0.5)
     message = rf"127.0.0.1:{port}: expected rank 0 at this address, got no connection"
     with pytest.raises(UserError, match=message), join_process_group():
         pass

@@ -8,12 +8,12 @@ from pathlib import Path
 import torch
 from safetensors.torch import save_file
 
-from fourd.model.config import ModelConfig, PlanesConfig
-from fourd.model.point_model import PointModel
-from fourd.training.distributed.process_group import ProcessGroup, join_process_group
-from fourd.training.loop import Trainer
-from fourd.training.metrics_log import NoLog
-from fourd.training.run import open_run
+from fourd.reconstruction.model.config import ModelConfig, PlanesConfig
+from fourd.reconstruction.model.point_model import PointModel
+from fourd.reconstruction.training.distributed.process_group import ProcessGroup, join_process_group
+from fourd.reconstruction.training.loop import Trainer
+from fourd.reconstruction.training.metrics_log import NoLog
+from fourd.reconstruction.training.run import open_run
 from tests.training.small import quiet
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fourd.cameras import Camera
-from fourd.training.evaluation.covisibility import covisible_psnr, visible_in_any
+from fourd.base.cameras import Camera
+from fourd.reconstruction.training.evaluation.covisibility import covisible_psnr, visible_in_any
 
 SIZE = 8
 WALL = 4.0

@@ -7,7 +7,13 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
-from fourd.training.evaluation.defects import contour_errors, flicker, jump_ratio, silhouette_errors, speck_pixels
+from fourd.reconstruction.training.evaluation.defects import (
+    contour_errors,
+    flicker,
+    jump_ratio,
+    silhouette_errors,
+    speck_pixels,
+)
 
 
 def disc(size: int = 64, radius: float = 20.0) -> np.ndarray:

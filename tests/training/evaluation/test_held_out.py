@@ -11,11 +11,11 @@ import pytest
 import torch
 import yaml
 
-from fourd.configs import save_config
+from fourd.base.configs import save_config
 from fourd.pipeline.make import create_run
 from fourd.pipeline.stages.summary import summarize_run
-from fourd.training.config import HeldOutConfig
-from fourd.training.evaluation.held_out import (
+from fourd.reconstruction.training.config import HeldOutConfig
+from fourd.reconstruction.training.evaluation.held_out import (
     NAME,
     HeldOutScore,
     best_surrounded,
@@ -23,9 +23,9 @@ from fourd.training.evaluation.held_out import (
     read_score,
     save_score,
 )
-from fourd.training.loop import Trainer
-from fourd.training.run import open_run
-from fourd.training.run_layout import HULL, HULL_QUALITY
+from fourd.reconstruction.training.loop import Trainer
+from fourd.reconstruction.training.run import open_run
+from fourd.reconstruction.training.run_layout import HULL, HULL_QUALITY
 from tests.captures import ring_cameras
 from tests.training.small import SMALL, full_config, quiet, train
 

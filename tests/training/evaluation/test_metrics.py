@@ -9,7 +9,7 @@ import pytest
 import torch
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-from fourd.training.evaluation.metrics import mask_box, psnr, ssim
+from fourd.reconstruction.training.evaluation.metrics import mask_box, psnr, ssim
 
 
 def pair(rng: np.random.Generator, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:

@@ -15,10 +15,10 @@ import torch
 from rich.console import Console
 
 from fourd.pipeline.make import create_run
-from fourd.training.live.control import Action, ControlReader, ControlRequest, write_request
-from fourd.training.live.state import TrainingState, is_training, read_state
-from fourd.training.loop import Trainer
-from fourd.training.run import open_run
+from fourd.reconstruction.training.live.control import Action, ControlReader, ControlRequest, write_request
+from fourd.reconstruction.training.live.state import TrainingState, is_training, read_state
+from fourd.reconstruction.training.loop import Trainer
+from fourd.reconstruction.training.run import open_run
 from tests.training.small import SMALL, quiet, train
 from tests.training.test_loop import checkpoint_tensors
 
@@ -28,9 +28,9 @@ CONFIG = replace(SMALL, max_steps=9, checkpoint_steps=100)
 @pytest.fixture(autouse=True)
 def short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the training look for requests after each step."""
-    monkeypatch.setattr("fourd.training.live.session.CONTROL_SECONDS", 0.0)
-    monkeypatch.setattr("fourd.training.live.session.STATE_SECONDS", 0.0)
-    monkeypatch.setattr("fourd.training.loop.CONTROL_SECONDS", 0.01)
+    monkeypatch.setattr("fourd.reconstruction.training.live.session.CONTROL_SECONDS", 0.0)
+    monkeypatch.setattr("fourd.reconstruction.training.live.session.STATE_SECONDS", 0.0)
+    monkeypatch.setattr("fourd.reconstruction.training.loop.CONTROL_SECONDS", 0.01)
 
 
 def state_of(run: Path) -> TrainingState:

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from fourd.training.live.control import Action, ControlRequest, write_request
-from fourd.training.live.state import TrainingState, read_state
-from fourd.training.run import load_run
+from fourd.reconstruction.training.live.control import Action, ControlRequest, write_request
+from fourd.reconstruction.training.live.state import TrainingState, read_state
+from fourd.reconstruction.training.run import load_run
 from tests.training.distributed.test_ranks import OVERLAY, start_ranks
 
 

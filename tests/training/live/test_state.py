@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from fourd.errors import UserError
-from fourd.training.live.session import LiveSession, StepCount
-from fourd.training.live.state import TrainingState, is_training, read_state, write_state
+from fourd.base.errors import UserError
+from fourd.reconstruction.training.live.session import LiveSession, StepCount
+from fourd.reconstruction.training.live.state import TrainingState, is_training, read_state, write_state
 from tests.training.small import quiet
 
 STATE = TrainingState("0123456789abcdef", platform.node(), "training", 10, 2.5, 0.25, 40, True, 1e9)
@@ -61,7 +61,7 @@ def test_the_state_of_a_killed_training(tmp_path: Path) -> None:
     program = (
         "import sys, time, pathlib\n"
         "from rich.console import Console\n"
-        "from fourd.training.live.session import LiveSession, StepCount\n"
+        "from fourd.reconstruction.training.live.session import LiveSession, StepCount\n"
         "with LiveSession(pathlib.Path(sys.argv[1]), 40, True, Console()) as live:\n"
         "    live.show(StepCount(3, 1.0, 0.1))\n"
         "    print('ready', flush=True)\n"
@@ -87,7 +87,7 @@ def test_the_state_of_a_killed_training(tmp_path: Path) -> None:
 def test_without_locks_the_age_decides(host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a wrong answer to whether a run trains, on systems without locks and on other machines."""
     if host == STATE.host:
-        monkeypatch.setattr("fourd.training.live.state._is_locked", lambda folder: None)
+        monkeypatch.setattr("fourd.reconstruction.training.live.state._is_locked", lambda folder: None)
     state = replace(STATE, host=host, updated=time.time())
     assert is_training(tmp_path, state)
     assert not is_training(tmp_path, replace(state, updated=time.time() - 1000))

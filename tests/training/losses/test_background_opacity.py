@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.cameras import look_at
-from fourd.training.background import StaticBackground
-from fourd.training.losses.background_opacity import (
+from fourd.base.cameras import look_at
+from fourd.reconstruction.training.background import StaticBackground
+from fourd.reconstruction.training.losses.background_opacity import (
     MAX_LATERAL_OFFSET,
     interpolate_viewpoint,
     mean_squared_transmittance,
 )
-from fourd.training.points.frame_points import FramePoints
+from fourd.reconstruction.training.points.frame_points import FramePoints
 from tests.captures import ring_cameras
 from tests.training.small import full_config, trained_run
 

@@ -10,8 +10,8 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from fourd.errors import UserError
-from fourd.training.losses.lpips import LPIPS, expected_shapes, load_lpips
+from fourd.base.errors import UserError
+from fourd.reconstruction.training.losses.lpips import LPIPS, expected_shapes, load_lpips
 
 # The layers of torchvision's network as (number, input channels, output channels). None stands for a pooling layer.
 PUBLISHED: list[tuple[int, int, int] | None] = [

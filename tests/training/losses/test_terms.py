@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.model.config import ModelConfig
-from fourd.training.config import LossConfig, TrainConfig
-from fourd.training.evaluation.metrics import ssim
-from fourd.training.losses.high_sh import HighShTerm
-from fourd.training.losses.image import ImageTerm
-from fourd.training.losses.lpips import LPIPS, expected_shapes
-from fourd.training.losses.mask import MaskTerm
-from fourd.training.losses.residual import ResidualTerm
-from fourd.training.losses.similarity import SimilarityTerm
-from fourd.training.losses.term import RenderedStep, weighted_values
-from fourd.training.losses.terms import common_terms
-from fourd.training.schedule import StepSample
+from fourd.reconstruction.model.config import ModelConfig
+from fourd.reconstruction.training.config import LossConfig, TrainConfig
+from fourd.reconstruction.training.evaluation.metrics import ssim
+from fourd.reconstruction.training.losses.high_sh import HighShTerm
+from fourd.reconstruction.training.losses.image import ImageTerm
+from fourd.reconstruction.training.losses.lpips import LPIPS, expected_shapes
+from fourd.reconstruction.training.losses.mask import MaskTerm
+from fourd.reconstruction.training.losses.residual import ResidualTerm
+from fourd.reconstruction.training.losses.similarity import SimilarityTerm
+from fourd.reconstruction.training.losses.term import RenderedStep, weighted_values
+from fourd.reconstruction.training.losses.terms import common_terms
+from fourd.reconstruction.training.schedule import StepSample
 
 SAMPLE = StepSample(0, 0, [1], np.ones(1, np.float32), np.zeros(3, np.float32), 8)
 

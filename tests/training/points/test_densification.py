@@ -9,11 +9,15 @@ import numpy as np
 import torch
 from safetensors.torch import load_file
 
-from fourd.training.background import outside_all_images
-from fourd.training.config import DensifyConfig
-from fourd.training.points.densification import accumulate_gradient_magnitudes, densify, unobserved_points
-from fourd.training.points.frame_points import FramePoints
-from fourd.training.run_layout import points_folder
+from fourd.reconstruction.training.background import outside_all_images
+from fourd.reconstruction.training.config import DensifyConfig
+from fourd.reconstruction.training.points.densification import (
+    accumulate_gradient_magnitudes,
+    densify,
+    unobserved_points,
+)
+from fourd.reconstruction.training.points.frame_points import FramePoints
+from fourd.reconstruction.training.run_layout import points_folder
 from tests.captures import ring_cameras
 from tests.training.small import full_config, trained_run
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from fourd.cameras import Camera
-from fourd.training.points.frame_points import FramePoints
-from fourd.training.points.frame_store import FrameStore
-from fourd.training.points.scratch import Scratch
-from fourd.training.points.silhouette import revert_moves_out_of_silhouettes
-from fourd.training.rendering import COUNT_STEP, select_heaviest
+from fourd.base.cameras import Camera
+from fourd.reconstruction.training.points.frame_points import FramePoints
+from fourd.reconstruction.training.points.frame_store import FrameStore
+from fourd.reconstruction.training.points.scratch import Scratch
+from fourd.reconstruction.training.points.silhouette import revert_moves_out_of_silhouettes
+from fourd.reconstruction.training.rendering import COUNT_STEP, select_heaviest
 
 
 def fresh_points(xyz: torch.Tensor, spacing: float, explicit_sh: bool = False) -> FramePoints:

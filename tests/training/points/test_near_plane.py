@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.cameras import Camera, look_at
-from fourd.errors import UserError
-from fourd.training.points.frame_points import FramePoints
-from fourd.training.points.near_plane import (
+from fourd.base.cameras import Camera, look_at
+from fourd.base.errors import UserError
+from fourd.reconstruction.training.points.frame_points import FramePoints
+from fourd.reconstruction.training.points.near_plane import (
     FALLBACK_SHARE,
     choose_near,
     feature_near,

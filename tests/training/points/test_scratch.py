@@ -8,14 +8,14 @@ from pathlib import Path
 
 import torch
 
-from fourd.training.points.frame_points import FramePoints
-from fourd.training.points.frame_store import FrameStore
-from fourd.training.points.scratch import Scratch
+from fourd.reconstruction.training.points.frame_points import FramePoints
+from fourd.reconstruction.training.points.frame_store import FrameStore
+from fourd.reconstruction.training.points.scratch import Scratch
 
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from fourd.training.points.scratch import Scratch
+from fourd.reconstruction.training.points.scratch import Scratch
 scratch = Scratch(Path(sys.argv[1]))
 (scratch.folder / "points").write_text("left behind")
 print(scratch.folder, flush=True)

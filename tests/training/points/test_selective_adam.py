@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.training.points.selective_adam import BETAS, EPSILON, SelectiveAdam
+from fourd.reconstruction.training.points.selective_adam import BETAS, EPSILON, SelectiveAdam
 
 
 def gradients(count: int, steps: int) -> list[torch.Tensor]:

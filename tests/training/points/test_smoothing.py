@@ -7,8 +7,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.training.points.frame_points import FramePoints
-from fourd.training.points.smoothing import NEIGHBOURS, REFIT_STEPS, TOLERANCE, fit_planes, smooth_surface
+from fourd.reconstruction.training.points.frame_points import FramePoints
+from fourd.reconstruction.training.points.smoothing import (
+    NEIGHBOURS,
+    REFIT_STEPS,
+    TOLERANCE,
+    fit_planes,
+    smooth_surface,
+)
 
 COUNT = 2000
 SPACING = float(np.sqrt(4 * np.pi / COUNT))

@@ -9,11 +9,11 @@ import numpy as np
 import torch
 
 from fourd.pipeline.make import create_run
-from fourd.training.config import TrainConfig
-from fourd.training.scenes.build import build_scene
-from fourd.training.scenes.full_scene import FullScene, place_window
-from fourd.training.scenes.object_scene import ObjectScene
-from fourd.training.schedule import StepSample
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.reconstruction.training.scenes.build import build_scene
+from fourd.reconstruction.training.scenes.full_scene import FullScene, place_window
+from fourd.reconstruction.training.scenes.object_scene import ObjectScene
+from fourd.reconstruction.training.schedule import StepSample
 from tests.captures import ring_cameras
 from tests.training.small import SMALL, full_config
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fourd.capture.layout import parse_frame_range
-from fourd.training.config import SegmentConfig, TrainConfig
-from fourd.training.segments.fade import kept_points
-from fourd.training.segments.plan import SegmentPlan, frame_range
+from fourd.reconstruction.training.config import SegmentConfig, TrainConfig
+from fourd.reconstruction.training.segments.fade import kept_points
+from fourd.reconstruction.training.segments.plan import SegmentPlan, frame_range
+from fourd.recording.capture.layout import parse_frame_range
 
 
 def test_every_frame_belongs_to_one_segment_or_to_two_neighbours(rng: np.random.Generator) -> None:

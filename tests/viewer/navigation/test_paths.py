@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fourd.cameras import Camera
+from fourd.base.cameras import Camera
 from fourd.viewer.navigation.paths import (
     estimate_focus,
     estimate_up,

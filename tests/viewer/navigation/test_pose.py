@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fourd.cameras import Camera, look_at
+from fourd.base.cameras import Camera, look_at
 from fourd.viewer.navigation.pose import (
     MAX_FIELD_OF_VIEW,
     MIN_FIELD_OF_VIEW,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fourd.errors import UserError
+from fourd.base.errors import UserError
 from fourd.viewer.navigation import saved_views
 from fourd.viewer.navigation.pose import Pose, pose_facing
 from fourd.viewer.navigation.recorded_path import (

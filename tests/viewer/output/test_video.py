@@ -9,7 +9,7 @@ import av
 import numpy as np
 import pytest
 
-from fourd.errors import UserError
+from fourd.base.errors import UserError
 from fourd.viewer.output.video import is_video, write_video
 
 

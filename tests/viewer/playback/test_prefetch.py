@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.baking import BakedFrame, SceneBackground, SceneManifest, SceneReader
-from fourd.baking.container import member_name
-from fourd.errors import UserError
+from fourd.base.errors import UserError
+from fourd.scene import BakedFrame, SceneBackground, SceneManifest, SceneReader
+from fourd.scene.container import member_name
 from fourd.viewer.playback.prefetch import FramePrefetcher
 from tests.baking.scenes import manifest, random_frame, write_scene
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from fourd.baking import SceneReader
+from fourd.scene import SceneReader
 from fourd.viewer.publish.live import LiveSite
 from fourd.viewer.publish.site import SCENE_NAME, is_site
 from tests.training.small import SMALL, train, trained_run, with_steps

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.errors import UserError
+from fourd.base.errors import UserError
 from fourd.viewer.publish.server import SiteServer, find_file
 
 

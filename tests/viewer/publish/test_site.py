@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.baking import SceneReader
-from fourd.baking.files.encoding import Tier
-from fourd.baking.packed.streams import StreamError, compress, decompress
-from fourd.baking.packing.pack import pack_scene
-from fourd.baking.packing.transcode import transcode_scene
-from fourd.baking.packing.writer import Storage
+from fourd.base.errors import UserError
 from fourd.cli.main import main
-from fourd.errors import UserError
-from fourd.stylize import decode_octahedral
+from fourd.scene import SceneReader
+from fourd.scene.files.encoding import Tier
+from fourd.scene.packed.streams import StreamError, compress, decompress
+from fourd.scene.packing.pack import pack_scene
+from fourd.scene.packing.transcode import transcode_scene
+from fourd.scene.packing.writer import Storage
+from fourd.scene.styles import decode_octahedral
 from fourd.viewer.publish.server import SiteServer
 from fourd.viewer.publish.site import SCENE_NAME, is_site, write_site
 from tests.baking.scenes import write_full_scene, write_scene

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.baking import BakedFrame, SceneReader
-from fourd.baking.depth_order import DepthSorter
-from fourd.cameras import Camera
-from fourd.errors import UserError
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
+from fourd.scene import BakedFrame, SceneReader
+from fourd.scene.depth_order import DepthSorter
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.gl.depth_order import BackgroundOrders, DepthOrder, ExactOrders
 from fourd.viewer.rendering.renderers import RENDERERS, RendererName, choose_renderer

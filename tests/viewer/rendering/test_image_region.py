@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fourd.baking.player import Player
+from fourd.scene.player import Player
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.gl.image_region import ImageRegion, RegionFinder
 from tests.baking.scenes import manifest, random_frame, ring

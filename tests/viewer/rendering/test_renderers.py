@@ -13,14 +13,14 @@ import torch
 from numpy.typing import NDArray
 from OpenGL import GL
 
-from fourd.baking import BakedFrame, SceneManifest
-from fourd.baking.shade import shade_reference
-from fourd.cameras import Camera
-from fourd.errors import UserError
-from fourd.ops.pixel_filter.reference import filter_pixels_reference
-from fourd.ops.play.near_fade import fade_near
-from fourd.raster import render_points
-from fourd.training.memory import resident_bytes
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
+from fourd.reconstruction.training.memory import resident_bytes
+from fourd.rendering import render_points
+from fourd.rendering.ops.pixel_filter.reference import filter_pixels_reference
+from fourd.rendering.ops.play.near_fade import fade_near
+from fourd.scene import BakedFrame, SceneManifest
+from fourd.scene.shade import shade_reference
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.context import driver_info

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.baking import BakedFrame, SceneManifest, combine_frames
-from fourd.baking.styled.normals import add_normals
-from fourd.baking.styled.player import StyledPlayer
-from fourd.ops.stylize.parameters import StyleParameters, Surface
-from fourd.ops.stylize.reference import stylize_reference
-from fourd.stylize import PRESETS, Style, encode_octahedral, load_style, view_style
-from fourd.stylize.tables import make_table
+from fourd.rendering.ops.stylize.parameters import StyleParameters, Surface
+from fourd.rendering.ops.stylize.reference import stylize_reference
+from fourd.scene import BakedFrame, SceneManifest, combine_frames
+from fourd.scene.styled.normals import add_normals
+from fourd.scene.styled.player import StyledPlayer
+from fourd.scene.styles import PRESETS, Style, encode_octahedral, load_style, view_style
+from fourd.scene.styles.tables import make_table
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.compositors import DepthPeeling, DualDepthPeeling, SortedBlending

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.baking import BakedFrame, SceneManifest, SceneWriter
-from fourd.baking.styled.normals import add_normals
-from fourd.configs import load_overlay, save_config
-from fourd.stylize import PRESETS, Style, load_style
+from fourd.base.configs import load_overlay, save_config
+from fourd.scene import BakedFrame, SceneManifest, SceneWriter
+from fourd.scene.styled.normals import add_normals
+from fourd.scene.styles import PRESETS, Style, load_style
 from fourd.viewer.display import DisplaySettings
 from fourd.viewer.loaded_scene import LoadedScene
 from fourd.viewer.playback.sources import open_frame_source

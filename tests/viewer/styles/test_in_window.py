@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.stylize import Style, load_style
+from fourd.scene.styles import Style, load_style
 from tests.stylize.test_styles import write_map
 from tests.viewer.scenes import write_shells
 from tests.viewer.screen import Screen, Viewer, screen

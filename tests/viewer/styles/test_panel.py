@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from fourd.stylize import PRESETS, Style, load_style
-from fourd.stylize.styles import DetailAxis, Light, Ramp
+from fourd.scene.styles import PRESETS, Style, load_style
+from fourd.scene.styles.styles import DetailAxis, Light, Ramp
 
 imgui = pytest.importorskip("imgui_bundle").imgui
 

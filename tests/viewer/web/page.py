@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.cameras import Camera
+from fourd.base.cameras import Camera
 
 TIMEOUT_MS = 60_000
 """Time limit of each wait in milliseconds. The limit is long, because machines that run tests may be busy."""

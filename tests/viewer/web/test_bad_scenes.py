@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from fourd.baking.packing.pack import pack_scene
+from fourd.scene.packing.pack import pack_scene
 from fourd.viewer.publish.site import SCENE_NAME
 from tests.baking.scenes import write_scene
 from tests.viewer.web.conftest import serving

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fourd.baking import SceneReader
-from fourd.baking.packed.images import HEADER
+from fourd.scene import SceneReader
+from fourd.scene.packed.images import HEADER
 from fourd.viewer.publish.site import SCENE_NAME, write_site
 from tests.baking.scenes import write_full_scene
 from tests.viewer.web.conftest import serving

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.baking import SceneReader, SceneWriter
-from fourd.baking.files.encoding import Tier
-from fourd.baking.player import Player
+from fourd.scene import SceneReader, SceneWriter
+from fourd.scene.files.encoding import Tier
+from fourd.scene.player import Player
 from fourd.viewer.publish.site import SCENE_NAME, write_site
 from tests.baking.scenes import NEAR_IN_BALL, manifest, random_frame, write_scene
 from tests.viewer.web.conftest import serving

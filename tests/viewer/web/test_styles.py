@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.baking import SceneReader
-from fourd.baking.styled.player import StyledPlayer
-from fourd.stylize import PRESETS, view_style
-from fourd.stylize.tables import make_table
+from fourd.scene import SceneReader
+from fourd.scene.styled.player import StyledPlayer
+from fourd.scene.styles import PRESETS, view_style
+from fourd.scene.styles.tables import make_table
 from fourd.viewer.publish.site import PLAYER_FOLDER, SCENE_NAME, write_site
 from fourd.viewer.publish.styles import STYLES_NAME, load_styles
 from tests.baking.scenes import ring

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.baking import SceneReader
-from fourd.baking.player import Player
-from fourd.baking.scene import make_frame
-from fourd.cameras import Camera
+from fourd.base.cameras import Camera
+from fourd.scene import SceneReader
+from fourd.scene.player import Player
+from fourd.scene.scene import make_frame
 from fourd.viewer.publish.site import SCENE_NAME
 from tests.viewer.web.conftest import serving
 from tests.viewer.web.npm import WEB, installed

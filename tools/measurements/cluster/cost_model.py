@@ -16,10 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.model.config import ModelConfig
 from fourd.pipeline.plan import IMPORT_S_PER_MP, MATTE_S_PER_MP, SAMPLED_FRAMES
-from fourd.training.config import SegmentConfig, TrainConfig
-from fourd.training.segments.plan import SegmentPlan
+from fourd.reconstruction.model.config import ModelConfig
+from fourd.reconstruction.training.config import SegmentConfig, TrainConfig
+from fourd.reconstruction.training.segments.plan import SegmentPlan
 
 BYTES_PER_PIXEL = 4
 """Bytes per pixel in the cache of decoded images, which stores RGB and the matte."""

@@ -28,15 +28,15 @@ import cv2
 import numpy as np
 from scipy.optimize import nnls
 
-from fourd.cameras import look_at
-from fourd.capture import open_capture, write_calibration
-from fourd.files import write_text_atomically
+from fourd.base.cameras import look_at
+from fourd.base.files import write_text_atomically
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
 from fourd.pipeline.stages.points.carve import CarveStageSettings, carve_run_stage
 from fourd.pipeline.stages.train import TrainFiles, train_stage
-from fourd.training.cameras.selection import DataSelection
-from fourd.training.config import TrainConfig
+from fourd.reconstruction.training.cameras.selection import DataSelection
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.recording.capture import open_capture, write_calibration
 from tools.measurements.cluster.cost_model import Costs
 from tools.measurements.long_set import write_video
 

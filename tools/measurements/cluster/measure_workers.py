@@ -29,8 +29,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.capture import open_capture
-from fourd.processes import called_every
+from fourd.base.processes import called_every
+from fourd.recording.capture import open_capture
 from tools.measurements import tables
 from tools.measurements.cluster.command_line import parse_with_options
 from tools.measurements.cluster.cost_model import Capture, Costs, makespan, segments_core_s

@@ -17,18 +17,18 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.capture import write_calibration
-from fourd.capture.layout import VIDEOS
-from fourd.importing.importer import ImportOptions
-from fourd.matting.sequence import MatteSettings
+from fourd.base.processes import locked_folder
 from fourd.pipeline.capture_graph import stages_to_capture
 from fourd.pipeline.graph import RunRequest, stages_to_scene
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Stage
 from fourd.pipeline.stages.cameras.repair import repair_stage
 from fourd.pipeline.stages.check import check_stage
-from fourd.processes import locked_folder
-from fourd.training.config import SegmentConfig, TrainConfig
+from fourd.reconstruction.training.config import SegmentConfig, TrainConfig
+from fourd.recording.capture import write_calibration
+from fourd.recording.capture.layout import VIDEOS
+from fourd.recording.importing.importer import ImportOptions
+from fourd.recording.matting.sequence import MatteSettings
 from tests.captures import ring_cameras
 from tools.measurements.cluster.simulated_work import STARTED, SimulatedFiles, SimulatedSettings, work
 from tools.measurements.long_set import write_video

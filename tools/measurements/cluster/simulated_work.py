@@ -9,7 +9,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.files import write_text_atomically
+from fourd.base.files import write_text_atomically
 from fourd.pipeline.stage import Context
 
 STARTED, FINISHED = "started", "finished"

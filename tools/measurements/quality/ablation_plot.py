@@ -16,11 +16,11 @@ import matplotlib
 import tyro
 from rich.console import Console
 
-from fourd.files import atomic_path
+from fourd.base.files import atomic_path
 from fourd.pipeline.make import create_run
-from fourd.training.config import TrainConfig
-from fourd.training.loop import Trainer
-from fourd.training.run import load_run
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.reconstruction.training.loop import Trainer
+from fourd.reconstruction.training.run import load_run
 from tools.measurements.tables import table
 
 ABLATIONS = {"both": "images and SH", "ibr": "images alone", "sh": "SH alone"}

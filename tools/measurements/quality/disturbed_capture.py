@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.calibration.perturbation import perturb_cameras, pose_errors
-from fourd.cameras import Camera
-from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, read_calibration, write_calibration
+from fourd.base.cameras import Camera
+from fourd.recording.calibration.perturbation import perturb_cameras, pose_errors
+from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, read_calibration, write_calibration
 
 
 def make(capture: Path, out: Path, degrees: float = 0.5, metres: float = 0.01, seed: int = 0) -> None:

@@ -29,7 +29,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from fourd.training.run import load_run
+from fourd.reconstruction.training.run import load_run
 from tools.measurements import tables
 from tools.measurements.quality import disturbed_capture
 

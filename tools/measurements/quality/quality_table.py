@@ -29,18 +29,24 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from fourd.cameras import Camera
-from fourd.errors import UserError
-from fourd.files import write_text_atomically
-from fourd.synth.figure import make_figure, pose_figure
-from fourd.synth.folder import read_settings
-from fourd.synth.generate import SynthSettings, gait_phase
-from fourd.synth.render import render_figure
-from fourd.training.evaluation.defects import contour_errors, flicker, jump_ratio, silhouette_errors, speck_pixels
-from fourd.training.evaluation.metrics import mask_box
-from fourd.training.evaluation.render import RenderedView
-from fourd.training.evaluation.scores import BOX_MARGIN_PX, score_view
-from fourd.training.run import TrainedRun, load_run
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
+from fourd.base.files import write_text_atomically
+from fourd.reconstruction.training.evaluation.defects import (
+    contour_errors,
+    flicker,
+    jump_ratio,
+    silhouette_errors,
+    speck_pixels,
+)
+from fourd.reconstruction.training.evaluation.metrics import mask_box
+from fourd.reconstruction.training.evaluation.render import RenderedView
+from fourd.reconstruction.training.evaluation.scores import BOX_MARGIN_PX, score_view
+from fourd.reconstruction.training.run import TrainedRun, load_run
+from fourd.recording.synth.figure import make_figure, pose_figure
+from fourd.recording.synth.folder import read_settings
+from fourd.recording.synth.generate import SynthSettings, gait_phase
+from fourd.recording.synth.render import render_figure
 from fourd.viewer.navigation.paths import orbit
 from tools.measurements.tables import table
 

@@ -23,15 +23,15 @@ import matplotlib
 import numpy as np
 import tyro
 
-from fourd.baking import Scene, open_scene
-from fourd.baking.exporting.export import ExportSettings, export_scene
-from fourd.baking.files.encoding import Tier
-from fourd.baking.packing.pack import pack_scene
-from fourd.baking.packing.precision import LEVELS
-from fourd.capture.reader import Capture, open_capture
-from fourd.files import atomic_path, write_text_atomically
-from fourd.training.evaluation.metrics import mask_box, psnr
-from fourd.training.evaluation.scores import BOX_MARGIN_PX
+from fourd.base.files import atomic_path, write_text_atomically
+from fourd.reconstruction.training.evaluation.metrics import mask_box, psnr
+from fourd.reconstruction.training.evaluation.scores import BOX_MARGIN_PX
+from fourd.recording.capture.reader import Capture, open_capture
+from fourd.scene import Scene, open_scene
+from fourd.scene.exporting.export import ExportSettings, export_scene
+from fourd.scene.files.encoding import Tier
+from fourd.scene.packing.pack import pack_scene
+from fourd.scene.packing.precision import LEVELS
 from tools.measurements import tables
 
 CONVERTED = {"compressed PLY": ".compressed.ply", "SPZ": ".spz", "SOG": ".sog"}

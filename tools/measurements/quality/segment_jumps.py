@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking import open_scene
-from fourd.training.run import Run, open_run
-from fourd.training.segments.plan import SegmentPlan
+from fourd.reconstruction.training.run import Run, open_run
+from fourd.reconstruction.training.segments.plan import SegmentPlan
+from fourd.scene import open_scene
 
 
 def main(run_path: Path, scene_path: Path) -> None:

@@ -27,13 +27,13 @@ import tyro
 from numpy.typing import NDArray
 from rich.progress import track
 
-from fourd.baking import BakedFrame, Scene, open_scene
-from fourd.baking.styled.normals import add_normals
-from fourd.baking.styled.player import StyledPlayer
-from fourd.cameras import Camera
-from fourd.formats.glb_mesh import read_glb_mesh
-from fourd.mesh.views import depth_image
-from fourd.stylize import Style, load_style
+from fourd.base.cameras import Camera
+from fourd.base.formats.glb_mesh import read_glb_mesh
+from fourd.reconstruction.meshes.views import depth_image
+from fourd.scene import BakedFrame, Scene, open_scene
+from fourd.scene.styled.normals import add_normals
+from fourd.scene.styled.player import StyledPlayer
+from fourd.scene.styles import Style, load_style
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.context import offscreen_context

@@ -19,16 +19,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from fourd.cameras import Camera
-from fourd.capture import open_capture
-from fourd.capture.pictures.mask_source import frame_masks
-from fourd.mesh.texturing.atlas import Atlas, find_texels
-from fourd.mesh.texturing.blending import blend_views
-from fourd.mesh.texturing.inpainting import fill_between_charts, fill_vertices
-from fourd.mesh.texturing.texture import TexturedMesh, read_textured_mesh
-from fourd.mesh.texturing.visibility import Occluder
-from fourd.mesh.views import MeshView, depth_image, mesh_views
+from fourd.base.cameras import Camera
 from fourd.pipeline.stages.mesh import mean_score, score_mesh
+from fourd.reconstruction.meshes.texturing.atlas import Atlas, find_texels
+from fourd.reconstruction.meshes.texturing.blending import blend_views
+from fourd.reconstruction.meshes.texturing.inpainting import fill_between_charts, fill_vertices
+from fourd.reconstruction.meshes.texturing.texture import TexturedMesh, read_textured_mesh
+from fourd.reconstruction.meshes.texturing.visibility import Occluder
+from fourd.reconstruction.meshes.views import MeshView, depth_image, mesh_views
+from fourd.recording.capture import open_capture
+from fourd.recording.capture.pictures.mask_source import frame_masks
 
 Floats = NDArray[np.float32]
 TOLERANCE_PX = 2.0

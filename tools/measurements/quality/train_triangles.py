@@ -17,21 +17,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fourd.cameras import Camera
-from fourd.capture import open_capture
-from fourd.carving.bounds import hull_bounds
-from fourd.carving.carve import carve_frame
-from fourd.carving.colour import colour_points
-from fourd.lenses.lens import Fisheye, Pinhole
-from fourd.mesh.views import mesh_views
-from fourd.raster.rays import Bvh, splat_along_rays
-from fourd.raster.triangles import TriangleRender
-from fourd.training.evaluation.scores import score_view
-from fourd.triangle_fitting.schedule import SIGMA_RANGE, Phase
-from fourd.triangle_fitting.settings import TriangleSettings
-from fourd.triangle_fitting.soft import SoftFit
-from fourd.triangle_fitting.soup import Soup, start_triangles, triangle_indices
-from fourd.triangle_fitting.targets import Target
+from fourd.base.cameras import Camera
+from fourd.reconstruction.carving.bounds import hull_bounds
+from fourd.reconstruction.carving.carve import carve_frame
+from fourd.reconstruction.carving.colour import colour_points
+from fourd.reconstruction.meshes.triangle_fitting.schedule import SIGMA_RANGE, Phase
+from fourd.reconstruction.meshes.triangle_fitting.settings import TriangleSettings
+from fourd.reconstruction.meshes.triangle_fitting.soft import SoftFit
+from fourd.reconstruction.meshes.triangle_fitting.soup import Soup, start_triangles, triangle_indices
+from fourd.reconstruction.meshes.triangle_fitting.targets import Target
+from fourd.reconstruction.meshes.views import mesh_views
+from fourd.reconstruction.training.evaluation.scores import score_view
+from fourd.recording.capture import open_capture
+from fourd.rendering.rays import Bvh, splat_along_rays
+from fourd.rendering.triangles import TriangleRender
+from fourd.scene.lenses.lens import Fisheye, Pinhole
 
 FISHEYE_DEG = 70.0
 RaysOf = dict[Camera, tuple[Tensor, Tensor]]

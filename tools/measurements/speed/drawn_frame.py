@@ -7,9 +7,9 @@ from pathlib import Path
 
 import tyro
 
-from fourd.baking import BakedFrame, SceneManifest, open_scene
+from fourd.base.cameras import Camera
 from fourd.benchmarks.workloads import make_baked_frame, make_camera
-from fourd.cameras import Camera
+from fourd.scene import BakedFrame, SceneManifest, open_scene
 from fourd.viewer.navigation.paths import fit_camera
 
 

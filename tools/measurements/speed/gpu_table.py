@@ -13,7 +13,7 @@ from fourd.benchmarks.gpu_cases import gpu_cases
 from fourd.benchmarks.machine import this_machine
 from fourd.benchmarks.report import Row, markdown
 from fourd.benchmarks.timing import Clock
-from fourd.ops.gpu import has_gpu
+from fourd.rendering.ops.gpu import has_gpu
 
 
 def main() -> int:

@@ -18,7 +18,7 @@ import matplotlib.pyplot as plt
 
 from fourd.benchmarks.meshes import make_mesh
 from fourd.benchmarks.rays import primary_rays, random_rays
-from fourd.raster.rays import Bvh, trace
+from fourd.rendering.rays import Bvh, trace
 from tools.measurements import tables
 
 COUNTS = (1_000, 4_000, 16_000, 64_000, 250_000, 1_000_000, 2_000_000)

@@ -16,12 +16,12 @@ import matplotlib
 import numpy as np
 import tyro
 
-from fourd.baking.player import Player
+from fourd.base.files import atomic_path
 from fourd.benchmarks.cases import composite
 from fourd.benchmarks.machine import this_machine
 from fourd.benchmarks.timing import Clock
 from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud
-from fourd.files import atomic_path
+from fourd.scene.player import Player
 from tools.measurements import tables
 
 POINTS = (16_384, 65_536, 262_144, 1_048_576, 2_097_152)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import fsspec
 
-from fourd.storage import StorageUrl, fetch, upload
+from fourd.base.storage import StorageUrl, fetch, upload
 from tests.storage.s3_server import ENVIRONMENT, S3Server
 from tools.measurements import tables
 

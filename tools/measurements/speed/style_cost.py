@@ -26,11 +26,11 @@ from statistics import median
 import numpy as np
 import tyro
 
-from fourd.baking.player import Player
-from fourd.baking.styled.normals import add_normals
-from fourd.baking.styled.player import StyledPlayer
-from fourd.ops.aligned import zeros_aligned
-from fourd.stylize import PRESETS, load_style
+from fourd.rendering.ops.aligned import zeros_aligned
+from fourd.scene.player import Player
+from fourd.scene.styled.normals import add_normals
+from fourd.scene.styled.player import StyledPlayer
+from fourd.scene.styles import PRESETS, load_style
 from tools.measurements import tables
 from tools.measurements.speed.drawn_frame import DrawnFrame
 

@@ -22,10 +22,10 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from fourd.baking import BakedFrame, SceneManifest
-from fourd.baking.shade import shade_reference
-from fourd.cameras import Camera
-from fourd.ops.points.arrays import render_points_numpy
+from fourd.base.cameras import Camera
+from fourd.rendering.ops.points.arrays import render_points_numpy
+from fourd.scene import BakedFrame, SceneManifest
+from fourd.scene.shade import shade_reference
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.context import driver_name, offscreen_context

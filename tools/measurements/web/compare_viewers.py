@@ -5,7 +5,7 @@
 The program exports the frame as Gaussian splats (3DGS PLY). It shows the exported file in Spark and in
 supersplat-viewer (npm packages @sparkjsdev/spark and @playcanvas/supersplat-viewer). fourd's web player, the HTML
 element <fourd-player>, shows the scene. All viewers show the frame from the last camera of the scene. The program
-writes their images and those of `fourd.baking.player.Player` as PNG files. It prints a Markdown table with the PSNR of
+writes their images and those of `fourd.scene.player.Player` as PNG files. It prints a Markdown table with the PSNR of
 each viewer's image relative to the images of `Player`, and with the images per second while the camera moves.
 """
 
@@ -25,12 +25,12 @@ import tyro
 from numpy.typing import NDArray
 from PIL import Image
 
-from fourd.baking import open_scene
-from fourd.baking.exporting.export import ExportSettings, export_scene
-from fourd.baking.player import Player
-from fourd.baking.splats.reader import SplatReader
-from fourd.cameras import Camera
-from fourd.training.evaluation.metrics import psnr
+from fourd.base.cameras import Camera
+from fourd.reconstruction.training.evaluation.metrics import psnr
+from fourd.scene import open_scene
+from fourd.scene.exporting.export import ExportSettings, export_scene
+from fourd.scene.player import Player
+from fourd.scene.splats.reader import SplatReader
 from fourd.viewer.publish.site import write_site
 from tools.measurements import tables
 from tools.measurements.web.pages import open_pages

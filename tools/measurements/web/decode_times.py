@@ -21,8 +21,8 @@ from typing import Any
 
 import tyro
 
-from fourd.baking import SceneReader
-from fourd.baking.packed.members import COLOUR, POINTS, SH, decode_cloud, view_member
+from fourd.scene import SceneReader
+from fourd.scene.packed.members import COLOUR, POINTS, SH, decode_cloud, view_member
 from fourd.viewer.publish.site import SCENE_NAME, write_site
 from tools.measurements import tables
 from tools.measurements.web.pages import open_pages

@@ -30,7 +30,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from fourd.training.live.state import read_state
+from fourd.reconstruction.training.live.state import read_state
 from tools.measurements.cluster.command_line import parse_with_options
 from tools.measurements.cluster.local_nodes import cpu_seconds
 

@@ -28,8 +28,8 @@ from typing import Any, BinaryIO
 
 import tyro
 
-from fourd.baking.files.encoding import Tier
-from fourd.baking.packing.rate import choose_tier
+from fourd.scene.files.encoding import Tier
+from fourd.scene.packing.rate import choose_tier
 from fourd.viewer.publish.server import Part, SiteHandler, SiteServer
 from fourd.viewer.publish.site import SCENE_NAME, write_site
 from tools.measurements.tables import table

@@ -12,7 +12,7 @@ from email.message import Message
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import urlsplit
 
-from fourd.errors import UserError
+from fourd.base.errors import UserError
 
 TOKEN_VARIABLE = "FOURD_TOKEN"
 REQUEST_HEADER = "X-Fourd-Request"

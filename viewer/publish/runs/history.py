@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.errors import UserError
-from fourd.limits import open_regular
-from fourd.training.metrics_log import METRICS_NAME
+from fourd.base.errors import UserError
+from fourd.base.limits import open_regular
+from fourd.reconstruction.training.metrics_log import METRICS_NAME
 
 MAX_LINE_BYTES = 1 << 16
 MAX_READ_BYTES = 16 << 20

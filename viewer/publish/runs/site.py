@@ -16,14 +16,14 @@ from pathlib import Path
 from cachetools import LRUCache
 from PIL import Image
 
-from fourd.baking.files.encoding import Tier
-from fourd.errors import UserError
-from fourd.limits import open_regular
-from fourd.parallel import core_count
-from fourd.progress import Terminal
-from fourd.stylize import Style
-from fourd.training.live.control import ACTIONS, Action, ControlRequest, write_request
-from fourd.training.run_layout import VALIDATION, segment_folder
+from fourd.base.errors import UserError
+from fourd.base.limits import open_regular
+from fourd.base.parallel import core_count
+from fourd.base.progress import Terminal
+from fourd.reconstruction.training.live.control import ACTIONS, Action, ControlRequest, write_request
+from fourd.reconstruction.training.run_layout import VALIDATION, segment_folder
+from fourd.scene.files.encoding import Tier
+from fourd.scene.styles import Style
 from fourd.viewer.publish.live import LiveScene
 from fourd.viewer.publish.runs.history import RunHistory
 from fourd.viewer.publish.runs.status import MAX_PICTURES, ActiveRun, describe, find_active

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from fourd.training.evaluation.held_out import read_score
-from fourd.training.live.state import Phase, TrainingState, is_training, read_state
-from fourd.training.run_layout import CHECKPOINTS, VALIDATION, segment_folders
+from fourd.reconstruction.training.evaluation.held_out import read_score
+from fourd.reconstruction.training.live.state import Phase, TrainingState, is_training, read_state
+from fourd.reconstruction.training.run_layout import CHECKPOINTS, VALIDATION, segment_folders
 from fourd.viewer.publish.runs.history import RunHistory
 
 MAX_PICTURES = 24

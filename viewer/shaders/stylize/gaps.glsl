@@ -1,4 +1,4 @@
-// Fills the gaps between surfaces, as fill_gaps in fourd/ops/stylize/reference.py does. This code is also valid GLSL ES
+// Fills the gaps between surfaces, as fill_gaps in fourd/rendering/ops/stylize/reference.py does. This code is also valid GLSL ES
 // 3.00.
 
 uniform sampler2D inverse_depth;

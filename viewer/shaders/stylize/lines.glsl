@@ -1,4 +1,4 @@
-// Finds lines, as find_lines in fourd/ops/stylize/reference.py does. This code is also valid GLSL ES 3.00.
+// Finds lines, as find_lines in fourd/rendering/ops/stylize/reference.py does. This code is also valid GLSL ES 3.00.
 
 uniform float ray[6];  // The first two rows of the inverse intrinsic matrix.
 uniform sampler2D closed_depth;

@@ -1,5 +1,5 @@
-// Decodes normals, as decode_octahedral in fourd/stylize/normals.py does, and computes the weights of points, as
-// front_weight in fourd/ops/stylize/reference.py does. This code is also valid GLSL ES 3.00.
+// Decodes normals, as decode_octahedral in fourd/scene/styles/normals.py does, and computes the weights of points, as
+// front_weight in fourd/rendering/ops/stylize/reference.py does. This code is also valid GLSL ES 3.00.
 
 // Returns the unit normal of a texel, whose channels are bytes / 255.
 vec3 decode_octahedral(vec2 texel) {

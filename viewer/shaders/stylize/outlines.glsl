@@ -1,5 +1,5 @@
 // Draws lines over a shaded image, except for specks (very short lines), as remove_specks in
-// fourd/ops/stylize/reference.py does. This code is also valid GLSL ES 3.00.
+// fourd/rendering/ops/stylize/reference.py does. This code is also valid GLSL ES 3.00.
 
 uniform sampler2D shaded;
 uniform highp usampler2D lines;  // The state of the lines, in the layout of csrc/stylize/stylize.h.

@@ -1,5 +1,5 @@
-// Shades a pixel, as stylize_reference in fourd/ops/stylize/reference.py does. The uniforms have the names and units of
-// the class Numbers in fourd/ops/stylize/parameters.py. lines.glsl must precede this code, which is also valid GLSL ES
+// Shades a pixel, as stylize_reference in fourd/rendering/ops/stylize/reference.py does. The uniforms have the names and units of
+// the class Numbers in fourd/rendering/ops/stylize/parameters.py. lines.glsl must precede this code, which is also valid GLSL ES
 // 3.00.
 
 uniform vec3 light;

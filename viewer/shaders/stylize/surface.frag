@@ -1,6 +1,6 @@
 #version 330 core
 // Converts composited colours, normals and depths to the visible surface (class Surface in
-// fourd/ops/stylize/parameters.py). Row 0 of the result is the top of the image. This code is also valid GLSL ES 3.00.
+// fourd/rendering/ops/stylize/parameters.py). Row 0 of the result is the top of the image. This code is also valid GLSL ES 3.00.
 
 uniform sampler2D colours;  // Colours, normals and depths are premultiplied by alpha.
 uniform sampler2D normals;    // Normals times front_weight, the weight of a point (octahedral.glsl).

@@ -154,7 +154,7 @@ void main() {
   vec3 p = vec3(affine(rotation_x, world, translation.x), affine(rotation_y, world, translation.y),
                 affine(rotation_z, world, translation.z));
   float rho = intrinsics_y.y * radius / p.z;
-  // Points fade at the near plane (fourd/ops/play/near_fade.py).
+  // Points fade at the near plane (fourd/rendering/ops/play/near_fade.py).
   density *= clamp((p.z - near) / (FADE_SHARE * near), 0.0, 1.0);
   gl_Position = vec4(0.0);
   gl_PointSize = 1.0;

@@ -8,7 +8,7 @@ const FADE_MARGIN = 1.25;
 
 /**
  * Returns the source views with the smallest angles to a camera, and their view weights. Angles are measured at the
- * focus. The rules are the same as in fourd/cameras.py.
+ * focus. The rules are the same as in fourd/base/cameras.py.
  * @param {Camera} camera
  * @param {Manifest} manifest
  * @returns {{views: number[], weights: number[]}}

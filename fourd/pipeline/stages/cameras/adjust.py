@@ -7,20 +7,20 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.bundle_adjustment.adjust import adjust_cameras
-from fourd.bundle_adjustment.solver import Prior
-from fourd.capture import Capture
-from fourd.capture.calibration import INTRINSICS_NAME
-from fourd.capture.focus import viewing_centre
-from fourd.errors import UserError
+from fourd.base.errors import UserError
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.plates import MATTE_PATTERNS
-from fourd.training.cameras.calibration import write_corrected
-from fourd.training.cameras.rig import Rig
-from fourd.training.cameras.selection import DataSelection, RunViews, open_run_views
-from fourd.training.config import RefineConfig
-from fourd.training.run_layout import CALIBRATION, COLOURS, START
+from fourd.reconstruction.training.cameras.calibration import write_corrected
+from fourd.reconstruction.training.cameras.rig import Rig
+from fourd.reconstruction.training.cameras.selection import DataSelection, RunViews, open_run_views
+from fourd.reconstruction.training.config import RefineConfig
+from fourd.reconstruction.training.run_layout import CALIBRATION, COLOURS, START
+from fourd.recording.calibration.adjustment.adjust import adjust_cameras
+from fourd.recording.calibration.adjustment.solver import Prior
+from fourd.recording.capture import Capture
+from fourd.recording.capture.calibration import INTRINSICS_NAME
+from fourd.recording.capture.focus import viewing_centre
 
 TILT = 12
 """Index of the first sensor-tilt coefficient among OpenCV's 14 distortion coefficients."""

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.calibration.camera_matching import match_cameras
-from fourd.calibration.checks.agreement import MAX_FRAME_PIXELS, MAX_PICTURE_PIXELS
-from fourd.calibration.colours import ColourDifferences, concatenate, measure_colours, sample_colours
-from fourd.capture import Capture
-from fourd.capture.layout import sample_indices
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
-from fourd.training.cameras.measured_colours import MeasuredColours, write_measured_colours
-from fourd.training.cameras.selection import DataSelection, open_run_views
-from fourd.training.config import TrainConfig
-from fourd.training.run_layout import COLOURS, MEASURED
+from fourd.reconstruction.training.cameras.measured_colours import MeasuredColours, write_measured_colours
+from fourd.reconstruction.training.cameras.selection import DataSelection, open_run_views
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.reconstruction.training.run_layout import COLOURS, MEASURED
+from fourd.recording.calibration.camera_matching import match_cameras
+from fourd.recording.calibration.checks.agreement import MAX_FRAME_PIXELS, MAX_PICTURE_PIXELS
+from fourd.recording.calibration.colours import ColourDifferences, concatenate, measure_colours, sample_colours
+from fourd.recording.capture import Capture
+from fourd.recording.capture.layout import sample_indices
 
 FRAMES = 2
 FEW_CAMERAS = 5

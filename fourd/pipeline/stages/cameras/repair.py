@@ -11,17 +11,17 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.bundle_adjustment.repair import Repair, repair_cameras
-from fourd.calibration.checks.agreement import CaptureMatches, assess_agreement, is_disagreeing, match_capture
-from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, write_calibration
-from fourd.capture.layout import DERIVED, MATTES, link_entries
-from fourd.errors import UserError
-from fourd.files import write_text_atomically
-from fourd.limits import read_json
-from fourd.matting.contours import find_foreign_mattes
+from fourd.base.errors import UserError
+from fourd.base.files import write_text_atomically
+from fourd.base.limits import read_json
 from fourd.pipeline.stage import Artefact, Context, Leftovers, NoSettings, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
-from fourd.sync.lateness import find_late_cameras
+from fourd.recording.calibration.adjustment.repair import Repair, repair_cameras
+from fourd.recording.calibration.checks.agreement import CaptureMatches, assess_agreement, is_disagreeing, match_capture
+from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, write_calibration
+from fourd.recording.capture.layout import DERIVED, MATTES, link_entries
+from fourd.recording.matting.contours import find_foreign_mattes
+from fourd.recording.sync.lateness import find_late_cameras
 
 RESULT = "repair.json"
 MAX_MEDIAN_PX = 1.0

@@ -11,28 +11,37 @@ from typing import Literal
 
 import numpy as np
 
-from fourd.background.from_stereo import seed_from_stereo
-from fourd.background.holes import fill_holes, measure_coverage
-from fourd.background.plate_changes import find_changing_backgrounds
-from fourd.background.plates import PlateView
-from fourd.background.radiance.config import RadianceConfig
-from fourd.background.radiance.from_radiance import seed_from_radiance
-from fourd.background.shell import build_shell, direction_coverage
-from fourd.cameras import Camera
-from fourd.capture.focus import viewing_centre
-from fourd.errors import UserError
-from fourd.formats.ply import ColouredPoints, read_ply, write_ply
+from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
+from fourd.base.formats.ply import ColouredPoints, read_ply, write_ply
+from fourd.base.progress import Log
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.plates import MATTE_PATTERNS, PLATE_PATTERNS
-from fourd.progress import Log
-from fourd.stereo.depth_maps import StereoResult, reconstruct_surfaces
-from fourd.training.cameras.measured_colours import MeasuredColours, corrects_colours, read_measured_colours
-from fourd.training.cameras.selection import DataSelection, open_run_views
-from fourd.training.config import TrainConfig
-from fourd.training.points.near_plane import fallback_near, feature_near, visible_depths, write_static_near
-from fourd.training.run import read_run_plates
-from fourd.training.run_layout import BACKGROUND, NEAR, PLATES, POINTS
+from fourd.reconstruction.background.from_stereo import seed_from_stereo
+from fourd.reconstruction.background.holes import fill_holes, measure_coverage
+from fourd.reconstruction.background.plate_changes import find_changing_backgrounds
+from fourd.reconstruction.background.plates import PlateView
+from fourd.reconstruction.background.radiance.config import RadianceConfig
+from fourd.reconstruction.background.radiance.from_radiance import seed_from_radiance
+from fourd.reconstruction.background.shell import build_shell, direction_coverage
+from fourd.reconstruction.training.cameras.measured_colours import (
+    MeasuredColours,
+    corrects_colours,
+    read_measured_colours,
+)
+from fourd.reconstruction.training.cameras.selection import DataSelection, open_run_views
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.reconstruction.training.points.near_plane import (
+    fallback_near,
+    feature_near,
+    visible_depths,
+    write_static_near,
+)
+from fourd.reconstruction.training.run import read_run_plates
+from fourd.reconstruction.training.run_layout import BACKGROUND, NEAR, PLATES, POINTS
+from fourd.recording.capture.focus import viewing_centre
+from fourd.recording.stereo.depth_maps import StereoResult, reconstruct_surfaces
 
 FULL_COVERAGE = 0.995
 """Holes are filled if the points cover a smaller fraction of a plate than this."""

@@ -5,16 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.capture import Capture, open_capture
-from fourd.carving import carve_capture
-from fourd.carving.matte_quality import MatteQuality, measure_mattes
-from fourd.carving.rig_evidence import check_rig
-from fourd.errors import UserError
+from fourd.base.errors import UserError
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.plates import MATTE_PATTERNS
-from fourd.training.cameras.selection import DECODED_MB, DataSelection, open_run_views
-from fourd.training.run_layout import BACKGROUND, CALIBRATION, COLOURS, HULL, HULL_QUALITY
+from fourd.reconstruction.carving import carve_capture
+from fourd.reconstruction.carving.matte_quality import MatteQuality, measure_mattes
+from fourd.reconstruction.carving.rig_evidence import check_rig
+from fourd.reconstruction.training.cameras.selection import DECODED_MB, DataSelection, open_run_views
+from fourd.reconstruction.training.run_layout import BACKGROUND, CALIBRATION, COLOURS, HULL, HULL_QUALITY
+from fourd.recording.capture import Capture, open_capture
 
 MIN_CAMERAS = 2
 SUSPICIOUS_SHARE = 0.85

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.carving import Bounds
-from fourd.carving.sequence import BOUNDS_NAME
-from fourd.errors import UserError
-from fourd.files import write_text_atomically
-from fourd.formats.ply import read_ply, write_ply
+from fourd.base.errors import UserError
+from fourd.base.files import write_text_atomically
+from fourd.base.formats.ply import read_ply, write_ply
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
-from fourd.training.cameras.selection import DataSelection, open_run_views
-from fourd.training.run_layout import BACKGROUND, CALIBRATION, COLOURS, HULL
+from fourd.reconstruction.carving import Bounds
+from fourd.reconstruction.carving.sequence import BOUNDS_NAME
+from fourd.reconstruction.training.cameras.selection import DataSelection, open_run_views
+from fourd.reconstruction.training.run_layout import BACKGROUND, CALIBRATION, COLOURS, HULL
 
 
 @dataclass(frozen=True)

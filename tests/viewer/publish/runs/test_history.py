@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.training.metrics_log import MetricsLog
+from fourd.reconstruction.training.metrics_log import MetricsLog
 from fourd.viewer.publish.runs import history
 from fourd.viewer.publish.runs.history import RunHistory
 

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fourd.base.errors import UserError
+from fourd.base.formats.picture import write_picture
+from fourd.base.progress import Terminal
 from fourd.cli.main import main
-from fourd.errors import UserError
-from fourd.formats.picture import write_picture
-from fourd.progress import Terminal
-from fourd.training.live.control import ControlReader, ControlRequest
-from fourd.training.live.session import LiveSession, StepCount
-from fourd.training.live.state import read_state
+from fourd.reconstruction.training.live.control import ControlReader, ControlRequest
+from fourd.reconstruction.training.live.session import LiveSession, StepCount
+from fourd.reconstruction.training.live.state import read_state
 from fourd.viewer.publish.runs import site as run_site
 from fourd.viewer.publish.runs.access import Access, choose_token, is_loopback
 from fourd.viewer.publish.runs.server import RunServer

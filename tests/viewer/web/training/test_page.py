@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fourd.formats.picture import write_picture
-from fourd.progress import Terminal
-from fourd.training.live.control import ControlReader
-from fourd.training.live.session import LiveSession, StepCount
-from fourd.training.live.state import read_state
+from fourd.base.formats.picture import write_picture
+from fourd.base.progress import Terminal
+from fourd.reconstruction.training.live.control import ControlReader
+from fourd.reconstruction.training.live.session import LiveSession, StepCount
+from fourd.reconstruction.training.live.state import read_state
 from fourd.viewer.publish.runs import site as run_site
 from fourd.viewer.publish.runs.access import Access
 from fourd.viewer.publish.runs.server import RunHandler, RunServer

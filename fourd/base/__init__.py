@@ -1,0 +1,1 @@
+"""What every other package uses: cameras, files, formats, processes."""

@@ -1,0 +1,76 @@
+"""The pipeline as two Python functions: :func:`make` and :func:`train`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fourd.base.progress import Terminal
+from fourd.pipeline.graph import RunRequest, stages_to_run
+from fourd.pipeline.make import make_scene, require_new_run
+from fourd.pipeline.runner import Runner
+from fourd.pipeline.stage import Context
+from fourd.pipeline.stages.summary import RunSummary
+from fourd.reconstruction.training.cameras.selection import with_test_split
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.reconstruction.training.run import Run, open_run
+from fourd.recording.matting.sequence import MatteSettings
+
+
+def make(
+    source: Path | str,
+    out: Path | str,
+    config: TrainConfig | None = None,
+    *,
+    mattes: MatteSettings | None = None,
+    workers: int = 1,
+    quiet: bool = False,
+) -> RunSummary:
+    """Make a scene file from videos or a capture, as ``fourd make`` does. A repeated call resumes an interrupted one.
+
+    Args:
+        source: a capture, or any folder that ``fourd import`` reads.
+        out: the .4dv file to write. Intermediate results are kept beside it in a folder with the suffix .work.
+        config: the settings of training, among them the cameras, the frames and the budget. If None, the defaults.
+        mattes: the settings of matting. If None, the defaults.
+        workers: number of processes. With more than one, the caller needs ``if __name__ == "__main__":``, because each
+            process imports the main module.
+        quiet: whether to print no progress.
+
+    Returns the measured quality of the run, and warnings about it.
+
+    Raises:
+        UserError: if the input is invalid, or the folder of intermediate results belongs to something else.
+    """
+    context = Context(Terminal(quiet=quiet), workers)
+    return make_scene(Path(source), Path(out), config or TrainConfig(), mattes or MatteSettings(), context)
+
+
+def train(
+    capture: Path | str,
+    out: Path | str,
+    config: TrainConfig | None = None,
+    *,
+    workers: int = 1,
+    quiet: bool = False,
+) -> Run:
+    """Train a run on a capture with masks or mattes, as ``fourd train`` does.
+
+    Args:
+        capture: the capture's folder.
+        out: the run's folder, which must be new or empty.
+        config: the settings of training. If None, the defaults. A config without ``max_steps`` and ``max_seconds``
+            trains until it is interrupted.
+        workers: number of processes that prepare the training; see :func:`make`.
+        quiet: whether to print no progress.
+
+    Returns the trained run: its config, its capture, and its training and held-out cameras.
+
+    Raises:
+        UserError: if the capture has neither masks nor mattes, or ``out`` contains other files.
+    """
+    capture, out = Path(capture), Path(out)
+    require_new_run(out)
+    context = Context(Terminal(quiet=quiet), workers)
+    selected = with_test_split(config or TrainConfig(), capture, context.log)
+    Runner(context).run(stages_to_run(RunRequest(capture, out, selected)))
+    return open_run(out)

@@ -1,7 +1,0 @@
-"""Locks on folders, deferral of Ctrl-C, calls at intervals, and child processes for parsers that can crash."""
-
-from fourd.processes.interrupts import DeferredInterrupt, handle_termination
-from fourd.processes.locks import locked_file, locked_folder
-from fourd.processes.periodic import called_every
-
-__all__ = ["DeferredInterrupt", "called_every", "handle_termination", "locked_file", "locked_folder"]

@@ -1,0 +1,116 @@
+"""Object scenes, which contain only the foreground that the mattes cover."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fourd.base.cameras import Camera, SelectedViews
+from fourd.reconstruction.model import PointModel
+from fourd.reconstruction.model.sources import SourceViews
+from fourd.reconstruction.training.background import StaticBackground
+from fourd.reconstruction.training.cameras.refinement import Refinement
+from fourd.reconstruction.training.cameras.rig import Rig
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.reconstruction.training.losses.lpips import LPIPS
+from fourd.reconstruction.training.losses.term import LossTerm
+from fourd.reconstruction.training.losses.terms import common_terms
+from fourd.reconstruction.training.memory import RESIDENT_BYTES
+from fourd.reconstruction.training.occlusion import with_surface_depth
+from fourd.reconstruction.training.points.frame_points import FramePoints
+from fourd.reconstruction.training.rendering import RenderablePoints, visible_points
+from fourd.reconstruction.training.scenes.scene import OptimizedPoints, Target
+from fourd.reconstruction.training.schedule import StepSample
+from fourd.reconstruction.training.views import View, ViewStore
+
+
+class ObjectScene:
+    """A scene that contains only the foreground; see
+    :class:`fourd.reconstruction.training.scenes.scene.TrainingScene`."""
+
+    background: StaticBackground | None = None
+    resident_bytes = RESIDENT_BYTES
+
+    def __init__(self, config: TrainConfig, model: PointModel, views: ViewStore, near: float) -> None:
+        self.config = config
+        self.model = model
+        self.views = views
+        self.near = near
+        self.models: Mapping[str, PointModel] = {"model": model}
+
+    @property
+    def static_clouds(self) -> Mapping[str, FramePoints]:
+        return {}
+
+    def loss_terms(self, lpips: LPIPS | None, refinement: Refinement | None) -> tuple[LossTerm, ...]:
+        return common_terms(self.config, self.model.spacing, lpips, refinement)
+
+    def set_rig(self, rig: Rig) -> None:
+        self.views.rig = rig
+
+    def target(self, sample: StepSample) -> Target:
+        view = self.views.view(sample.target, sample.frame)
+        rgb, matte = view.premultiplied(self.views.device)
+        return Target(view.camera, rgb, matte, matte, fills_picture=False)
+
+    def evaluate_step(
+        self, points: FramePoints, time: float, sample: StepSample, camera: Camera, step: int
+    ) -> list[OptimizedPoints]:
+        rows = visible_points([points], camera, self.config.layers, self.near, self.config.hidden_weight)[0]
+        return [self.evaluate_visible(points, rows, time, sample, camera, step)]
+
+    def evaluate_visible(
+        self, points: FramePoints, rows: Tensor, time: float, sample: StepSample, camera: Camera, step: int
+    ) -> OptimizedPoints:
+        """Evaluate the points with the indices ``rows`` (M,). The result is differentiable."""
+        sources = None
+        if self.config.model.appearance != "sh":
+            views = self.views.sources(sample.sources, sample.frame).weighted(sample.source_weights)
+            sources = with_surface_depth(views, points, self.config.model.occlusion, self.near)
+        leaves = {name: value[rows].requires_grad_() for name, value in points.parameters.items()}
+        evaluated = self.model.evaluate(
+            leaves["xyz"], points.spacing[rows], time, explicit_sh=leaves.get("sh"), rgb=leaves.get("rgb")
+        )
+        train_encoder = step % self.config.encoder_every == 0
+        colour = self.model.colour(evaluated, camera, sources, train_encoder=train_encoder)
+        return OptimizedPoints(points, rows, leaves, evaluated, colour, sources)
+
+    def xyz_rate(self, points: OptimizedPoints, factor: float) -> Tensor:
+        rates = self.config.rates
+        rate = rates.xyz_spacings * factor * points.cloud.spacing[points.rows]
+        if rates.xyz_halving_updates:
+            rate = rate / (1 + points.cloud.optimizer.steps[points.rows] / rates.xyz_halving_updates)
+        return rate[:, None]
+
+    def finish_step(self) -> None:
+        pass
+
+    def densify(self, points: FramePoints, sample: StepSample, spent: float) -> None:
+        """Do nothing: the points of an object scene are neither split nor removed."""
+
+    def clear_caches(self) -> None:
+        pass
+
+    def evaluate_frame(
+        self, points: FramePoints, frame: int, camera: Camera, sources: SelectedViews
+    ) -> list[RenderablePoints]:
+        with torch.no_grad():
+            evaluated = self.model.evaluate(
+                points.xyz,
+                points.spacing,
+                self.views.capture.time(frame),
+                explicit_sh=points.parameters.get("sh"),
+                rgb=points.parameters.get("rgb"),
+            )
+            views: SourceViews | None = None
+            if self.model.config.appearance != "sh":
+                selected = self.views.sources(sources.indices, frame).weighted(sources.weights)
+                views = with_surface_depth(selected, evaluated, self.model.config.occlusion, self.near)
+            return [RenderablePoints.of(evaluated, self.model.colour(evaluated, camera, views, is_training=False))]
+
+    def reference_picture(self, view: View) -> NDArray[np.float32]:
+        return view.premultiplied()[0].numpy()

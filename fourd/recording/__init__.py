@@ -1,0 +1,1 @@
+"""From recordings to a capture: cameras, images, mattes."""

@@ -1,0 +1,142 @@
+"""The record .fourd/import.json of an import's source and options, which prevents an import from overwriting another
+capture."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from fourd.base.errors import UserError
+from fourd.base.files import is_unused, resolved, write_text_atomically
+from fourd.base.limits import read_json
+from fourd.recording.capture.layout import DERIVED
+from fourd.recording.importing.imported import EncodedPictures, Imported, PictureFiles
+
+RECORD = DERIVED / "import.json"
+VERSION = 1
+MAX_NUMBER = 1e12
+"""Upper limit of the numbers in import.json. Valid offsets in frames and valid scales are far below this limit."""
+
+
+@dataclass(frozen=True)
+class ImportRecord:
+    """The content of .fourd/import.json: the source, options and state of the import that writes the capture.
+
+    Attributes:
+        source: the source's path.
+        format: name of the source's format.
+        calibration: hash of the source's calibration; see :func:`digests`.
+        files: hash of the names and sizes of the source's files; see :func:`digests`.
+        options: options of the command.
+        offsets: the applied time offsets of the videos, in frames of the capture.
+        unpacked: whether the videos' frames were written as images; the images are aligned by ``offsets``.
+        done: whether the import finished.
+        warnings: warnings of the import.
+    """
+
+    source: str
+    format: str
+    calibration: str
+    files: str
+    options: dict[str, Any]
+    offsets: dict[str, float]
+    unpacked: bool
+    done: bool
+    warnings: tuple[str, ...]
+
+
+def read_record(out: Path) -> ImportRecord | None:
+    """Read .fourd/import.json in the folder ``out``. Returns None if the folder is missing or empty.
+
+    Raises:
+        UserError: when ``out`` is a file, or contains files without a valid record.
+    """
+    if is_unused(out):
+        return None
+    path = out / RECORD
+    if not path.is_file():
+        got = "a folder with other files" if out.is_dir() else "a file"
+        raise UserError(f"{out}: expected a new folder or the folder of an import, got {got}; name another folder")
+    try:
+        content = read_json(path)
+        if content.pop("version") != VERSION:
+            raise ValueError
+        record = ImportRecord(**content | {"warnings": tuple(content["warnings"])})
+        _check_types(record)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UserError(f"{path}: expected the record of an import, got other content; name another folder") from error
+    return record
+
+
+def _check_types(record: ImportRecord) -> None:
+    """Raise TypeError if a field of a record that was read from a file has the wrong type."""
+    texts = (record.source, record.format, record.calibration, record.files, *record.warnings)
+    numbers = (record.options.get("reduce", 1), *record.offsets.values())
+    matches = all(isinstance(text, str) for text in texts) and all(_is_number(number) for number in numbers)
+    if not (matches and isinstance(record.unpacked, bool) and isinstance(record.done, bool)):
+        raise TypeError("expected the record of an import")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < MAX_NUMBER
+
+
+def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) -> None:
+    """Raise UserError when the folder contains an import of another source."""
+    if (before.source, before.format) != (str(resolved(source)), name):
+        raise UserError(
+            f"{out}: expected a new folder or an import of {source} ({name}), got an import of {before.source} "
+            f"({before.format}); name another folder"
+        )
+
+
+def check_unpacked(out: Path, before: ImportRecord, files: str, offsets: Mapping[str, float], reduce: float) -> None:
+    """Raise UserError if an earlier import unpacked other videos into the folder, or the same videos with other offsets
+    or at another scale."""
+    if before.unpacked and before.files != files:
+        raise UserError(
+            f"{out}: expected the videos unpacked into this folder, got other videos; import into another folder"
+        )
+    if before.unpacked and before.options.get("reduce", 1) != reduce:
+        raise UserError(
+            f"{out}: expected the scale of the frames in this folder ({before.options.get('reduce', 1):g}), got "
+            f"{reduce:g}; import into another folder"
+        )
+    if before.unpacked and before.offsets != dict(offsets):
+        raise UserError(
+            f"{out}: expected the offsets of the frames in this folder ({_format(before.offsets)}), got "
+            f"{_format(offsets)}; import into another folder"
+        )
+
+
+def write_record(out: Path, record: ImportRecord) -> None:
+    """Write the record of the folder ``out`` atomically."""
+    write_text_atomically(out / RECORD, json.dumps({"version": VERSION} | asdict(record), indent=1) + "\n")
+
+
+def digests(imported: Imported) -> tuple[str, str]:
+    """Compute two hashes of a source: a hash of its calibration, and a hash of the names and sizes of its files."""
+    calibrations, files = hashlib.sha256(), hashlib.sha256()
+    for camera in imported.cameras:
+        calibration = camera.calibration
+        if calibration is not None:
+            arrays = (calibration.intrinsics, calibration.rotation, calibration.translation, calibration.distortion)
+            values = [None if array is None else array.tolist() for array in arrays]
+            calibrations.update(repr((camera.name, calibration.width, calibration.height, values)).encode())
+        for frames in (camera.frames, camera.masks):
+            if isinstance(frames, PictureFiles):
+                content: object = [(str(path), name) for path, name in zip(frames.paths, frames.names, strict=True)]
+            elif isinstance(frames, EncodedPictures):
+                content = (frames.names, frames.suffix)
+            else:
+                content = None if frames is None else (str(frames.path), frames.path.stat().st_size)
+            files.update(repr((camera.name, content)).encode())
+    return calibrations.hexdigest(), files.hexdigest()
+
+
+def _format(offsets: Mapping[str, float]) -> str:
+    return ", ".join(f"{name}={frames:g}" for name, frames in offsets.items() if frames) or "none"

@@ -1,0 +1,67 @@
+"""Extent of motion: the region of a camera's images that changes over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.recording.matting.channels import channel_max
+from fourd.recording.matting.motion.sampling import CameraSample
+
+Floats = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+
+MIN_CHANGE = 12.0
+"""Lower limit of :attr:`MotionExtent.threshold`, in 8-bit values. The threshold is the larger of two values:
+MIN_CHANGE, and NOISE_FACTOR times :attr:`MotionExtent.noise`."""
+NOISE_FACTOR = 6.0
+MIN_MOTION_PX = 0.15
+MOVING_FACTOR = 2.5
+"""Minimum optical flow of moving pixels, as a multiple of the flow of static pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionExtent:
+    """Noise levels of a camera's images, and the region that changes.
+
+    Attributes:
+        noise: standard deviation of a static pixel's values, in 8-bit values.
+        still_px: typical length in pixels of the optical flow that noise causes at static pixels.
+        threshold: minimum change of a pixel's value that counts as motion, in 8-bit values.
+        region: (h, w) bool mask of the pixels that change in some frame, with holes filled.
+    """
+
+    noise: float
+    still_px: float
+    threshold: float
+    region: Flags
+
+    @staticmethod
+    def from_sample(sample: CameraSample) -> MotionExtent:
+        """Estimate the noise and the extent of motion from sampled frames."""
+        median = np.median(sample.rgb, axis=0).astype(np.float32)
+        change = np.stack([channel_max(np.abs(picture - median)) for picture in sample.rgb]).astype(np.float32)
+        noise = 1.48 * float(np.median(change)) + 1
+        threshold = max(MIN_CHANGE, NOISE_FACTOR * noise)
+        still = float(np.median(sample.motion_px)) + MIN_MOTION_PX
+        # For each pixel, the second largest change over the frames is used, because a flash that lasts one frame
+        # affects only the largest change. If the optical flow at the pixel is large in a frame, for example because a
+        # foot swings through the pixel, the change in this frame counts even if it is the only large change.
+        largest = np.partition(change, -2, axis=0)[-2] if len(change) > 2 else change.max(axis=0)
+        largest = np.maximum(largest, np.where(sample.motion_px > MOVING_FACTOR * still, change, 0).max(axis=0))
+        region = (largest > threshold).astype(np.uint8)
+        region = cv2.morphologyEx(region, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+        region = cv2.morphologyEx(region, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
+        region = fill_holes(np.asarray(cv2.dilate(region, np.ones((3, 3), np.uint8)), np.uint8))
+        return MotionExtent(noise, still, threshold, region > 0)
+
+
+def fill_holes(region: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Fill the enclosed holes of a binary region (h, w)."""
+    padded = np.pad(region, 2)
+    outside = padded.copy()
+    cv2.floodFill(outside, None, (0, 0), 2)
+    return (outside[2:-2, 2:-2] != 2).astype(np.uint8)

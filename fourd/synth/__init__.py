@@ -1,5 +1,0 @@
-"""Synthetic captures with ground truth: a running, textured human figure inside a ring of cameras."""
-
-from fourd.synth.generate import SynthSettings, is_finished, make_synthetic
-
-__all__ = ["SynthSettings", "is_finished", "make_synthetic"]

@@ -1,5 +1,0 @@
-"""Synthetic captures of a dome: cameras in the walls of a room, with dark bodies, and two people inside."""
-
-from fourd.synth.dome.generate import DomeSettings, is_finished, make_dome, suggested_test_views
-
-__all__ = ["DomeSettings", "is_finished", "make_dome", "suggested_test_views"]

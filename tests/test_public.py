@@ -1,0 +1,53 @@
+"""The public names of the package, for programs that use fourd as a library."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fourd
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.reconstruction.training.evaluation.held_out import read_score
+from tests.captures import write_ball_capture
+
+PUBLIC = {"Camera", "Player", "UserError", "make", "open_capture", "open_scene", "render_points", "train"}
+HEAVY = ("torch", "cv2", "numpy", "scipy", "av", "moderngl", "fourd._native")
+SMALL = TrainConfig(max_steps=2, points=300, layers=4)
+
+
+def test_the_public_names_are_these() -> None:
+    """Catches a public name that is added, removed or moved without a decision."""
+    assert set(fourd.__all__) == PUBLIC
+    assert set(dir(fourd)) >= PUBLIC
+    for name in PUBLIC:
+        assert getattr(fourd, name).__doc__
+    with pytest.raises(AttributeError, match="nothing"):
+        _ = fourd.nothing
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    """Catches an import of the package, or of what draws scenes, that loads torch or native modules."""
+    code = f"import sys, fourd; print([name for name in {HEAVY} if name in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+    code = "import sys, fourd; fourd.open_scene, fourd.Player, fourd.Camera; print('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
+
+
+def test_train_and_make_as_functions(tmp_path: Path) -> None:
+    """Catches functions that return before training, ignore the config, or print although they are asked not to."""
+    capture = write_ball_capture(tmp_path / "capture", cameras=6, frames=2, size=64)
+    run = fourd.train(capture, tmp_path / "run", SMALL, quiet=True)
+    assert run.config.train.max_steps == 2
+    assert read_score(tmp_path / "run") is not None
+    with pytest.raises(fourd.UserError, match="expected a new folder, got a run"):
+        fourd.train(capture, tmp_path / "run", SMALL, quiet=True)
+    fourd.make(capture, tmp_path / "scene.4dv", SMALL, quiet=True)
+    with fourd.open_scene(tmp_path / "scene.4dv") as scene:
+        assert scene.manifest.frame_count == 2
+        camera = fourd.open_capture(capture).cameras[0]
+        picture = fourd.Player().draw(scene.frame(0), camera, scene.manifest)
+    assert np.asarray(picture).max() > 0
