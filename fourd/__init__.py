@@ -9,8 +9,9 @@ Importing this package loads neither native modules nor torch. The names in ``__
 """
 
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
+
+from fourd.base.version import __version__
 
 if TYPE_CHECKING:
     from fourd.base.cameras import Camera
@@ -21,7 +22,17 @@ if TYPE_CHECKING:
     from fourd.scene import open_scene
     from fourd.scene.player import Player
 
-__all__ = ["Camera", "Player", "UserError", "make", "open_capture", "open_scene", "render_points", "train"]
+__all__ = [
+    "Camera",
+    "Player",
+    "UserError",
+    "__version__",
+    "make",
+    "open_capture",
+    "open_scene",
+    "render_points",
+    "train",
+]
 
 _MODULES = {
     "Camera": "base.cameras",
@@ -33,11 +44,6 @@ _MODULES = {
     "render_points": "rendering",
     "train": "pipeline.library",
 }
-
-try:
-    __version__ = version("fourd")
-except PackageNotFoundError:  # the package is used from a source folder, without installation
-    __version__ = "0+unknown"
 
 
 def __getattr__(name: str) -> Any:

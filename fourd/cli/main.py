@@ -182,7 +182,7 @@ def _report_errors(words: list[str]) -> int:
         print(HELP, end="")
         return 0
     if words[0] == "--version":
-        from fourd import __version__
+        from fourd.base.version import __version__
 
         print(f"fourd {__version__}")
         return 0

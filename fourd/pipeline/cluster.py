@@ -15,8 +15,8 @@ from typing import Any
 
 from rich.console import Console
 
-from fourd import __version__
 from fourd.base.errors import MAX_REASON, UserError, one_line
+from fourd.base.version import __version__
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stage import Context
 

@@ -28,7 +28,7 @@ from fourd.pipeline.still_scenes import stands_still, still_config
 from fourd.pipeline.stored.cache import cache_folder
 from fourd.pipeline.stored.rate import rate_stage
 from fourd.pipeline.stored.results import StoredResults
-from fourd.pipeline.work_folder import RUN
+from fourd.pipeline.work.folder import RUN
 from fourd.reconstruction.training.cameras.selection import with_test_split
 from fourd.reconstruction.training.config import TrainConfig
 from fourd.reconstruction.training.run import Run
@@ -108,8 +108,7 @@ def make_scene(
     replace a trained run, it is kept as ``run.1`` and so on; if ``work`` is a URL, this is an error.
 
     Args:
-        source: a capture, or any source that :mod:`fourd.recording.importing` can read. A URL is copied to
-            ``work/source/``.
+        source: a capture, or a source that ``fourd import`` can read. A URL is copied to ``work/source/``.
         out: the .4dv file to write. If it is a URL, the file is written in ``work`` and then uploaded.
         train: the training config.
         mattes: settings of the mattes. Mattes are made only if the capture has no masks.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from fourd.base.storage import Location
 from fourd.pipeline.stage import Context, Stage
-from fourd.pipeline.work_folder import WorkFolder
+from fourd.pipeline.work.folder import WorkFolder
 
 if TYPE_CHECKING:
     # StoredResults is imported only for type checkers, because it imports the packages for training, and the runner
@@ -34,7 +34,7 @@ class Runner:
     If a record file is given, the runner prints the state of each stage. It skips a stage if its outputs exist and its
     key (see :meth:`Stage.key`) is the same as in the record file. Before it starts a stage whose key has changed, it
     prints what has changed, and removes the files that were written with the old key. A trained run is not removed, but
-    renamed; see :mod:`fourd.pipeline.work_folder`. Without a record file, the runner executes every stage and prints
+    renamed; see :mod:`fourd.pipeline.work.folder`. Without a record file, the runner executes every stage and prints
     nothing; the stages themselves detect and keep finished files.
     """
 

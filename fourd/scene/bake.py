@@ -16,8 +16,8 @@ from rich.console import Console
 from rich.progress import track
 from torch import Tensor
 
-from fourd import __version__
 from fourd.base.errors import UserError
+from fourd.base.version import __version__
 from fourd.reconstruction.model import PointModel
 from fourd.reconstruction.model.appearance import mix_own_colours, zero_low_visibility
 from fourd.reconstruction.model.point_model import EvaluatedPoints

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from fourd import __version__
 from fourd.base.errors import UserError
+from fourd.base.version import __version__
 from fourd.cli.main import main
 from fourd.pipeline.cluster import Cluster, Job, join_cluster, run_job
 from fourd.pipeline.make import make_scene

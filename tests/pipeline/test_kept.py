@@ -12,9 +12,9 @@ import pytest
 from rich.console import Console
 
 from fourd.base.errors import UserError
-from fourd.pipeline.kept import find_trained
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.stage import Context
+from fourd.pipeline.work.kept import find_trained
 from fourd.reconstruction.training.config import SegmentConfig, TrainConfig
 from fourd.reconstruction.training.run import load_run, open_run
 from fourd.recording.importing.importer import ImportOptions

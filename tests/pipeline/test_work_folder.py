@@ -13,10 +13,10 @@ from rich.console import Console
 
 from fourd.base.errors import UserError
 from fourd.base.storage import parse_location
-from fourd.pipeline.kept import keep_run, kept_folders
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Context, Leftovers, Stage
 from fourd.pipeline.stages import mattes
+from fourd.pipeline.work.kept import keep_run, kept_folders
 from fourd.recording.matting.output import MatteState
 from fourd.recording.matting.sequence import MatteSettings
 

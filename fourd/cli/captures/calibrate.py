@@ -18,7 +18,7 @@ from fourd.base.processes import locked_folder
 from fourd.base.progress import Log, Terminal, Tracker
 from fourd.cli.options import Frames, option, parse_offsets
 from fourd.cli.outputs import READS, WRITES_WHOLE_FOLDER, Writes
-from fourd.pipeline.kept import copy_linked, next_kept
+from fourd.pipeline.work.kept import copy_linked, next_kept
 from fourd.recording.board_calibration.calibrate import REPORT, CalibrationSettings, calibrate_rig, check_out
 from fourd.recording.board_calibration.printing import print_board
 from fourd.recording.boards import read_board

@@ -9,12 +9,12 @@ from typing import Annotated
 
 import tyro
 
-from fourd import __version__
 from fourd.base.configs import to_yaml
 from fourd.base.errors import UserError, command_line
 from fourd.base.processes import locked_folder
 from fourd.base.progress import Terminal
 from fourd.base.storage import StorageUrl
+from fourd.base.version import __version__
 from fourd.cli.locations import CaptureLocation
 from fourd.cli.options import Workers, worker_count
 from fourd.cli.outputs import WRITES

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from fourd.base.progress import Log
-from fourd.pipeline.kept import copy_linked, folder_size, next_kept, readable_size
+from fourd.pipeline.work.kept import copy_linked, folder_size, next_kept, readable_size
 from fourd.recording.capture.layout import MATTES, refuse_symlinks
 from fourd.recording.matting.output import SHEET, MatteState
 

@@ -9,14 +9,14 @@ from pathlib import Path
 from fourd.base.errors import UserError
 from fourd.base.storage import Location, StorageUrl, list_objects
 from fourd.pipeline.fetch import FetchSettings
-from fourd.pipeline.record import StageEntry, shown_changes
 from fourd.pipeline.stage import Context, StageState
 from fourd.pipeline.stored.cache import Cache, cache_folder
 from fourd.pipeline.stored.manifest import Manifest
 from fourd.pipeline.stored.unfinished import SUFFIX
 from fourd.pipeline.stored.unit import AnyStage, UnitFiles, fetch_source, unit_stage
 from fourd.pipeline.stored.work_store import WorkStore
-from fourd.pipeline.work_folder import RUN, TRAINING
+from fourd.pipeline.work.folder import RUN, TRAINING
+from fourd.pipeline.work.record import StageEntry, shown_changes
 from fourd.reconstruction.training.run_layout import CHECKPOINTS
 
 Execute = Callable[[Sequence[AnyStage], Context], Iterator[AnyStage]]

@@ -47,7 +47,7 @@ from fourd.recording.boards import CalibrationBoard
 Array = NDArray[np.float64]
 
 HELD_OUT_EVERY = 5
-"""At most one of every HELD_OUT_EVERY frames is held out of the first fit, to measure the errors of this fit."""
+"""At most one of this number of frames is held out of the first fit, to measure the errors of this fit."""
 MIN_LENS_VIEWS = 5
 """Minimum number of views (images that show the board) from a camera whose lens is estimated."""
 MIN_POSE_VIEWS = 3
@@ -64,8 +64,7 @@ MEDIAN_PER_STD = 1.177
 CORRELATION = 2.5
 """Factor that multiplies the corners' standard deviation when the corners are weighed against the prior on the lenses.
 It accounts for correlated errors of the corners in one image, which are caused by motion blur, a board that is not
-exactly flat, and cameras that do not expose at exactly the same time.
-"""
+exactly flat, and cameras that do not expose at exactly the same time."""
 OUTLIER_MEDIANS = 6.0
 """Maximum error of a corner in the last adjustment, as a multiple of its camera's median error. Corners with larger
 errors are left out."""

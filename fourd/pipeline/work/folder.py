@@ -1,7 +1,7 @@
 """The local folder for intermediate results: its record, and what happens to files that were made with other settings.
 
-Results that are quick to make are removed. A trained run is renamed (see :mod:`fourd.pipeline.kept`), and renamed back
-when a later command has its settings again.
+Results that are quick to make are removed. A trained run is renamed (see :mod:`fourd.pipeline.work.kept`), and renamed
+back when a later command has its settings again.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from fourd.base.errors import UserError
 from fourd.base.files import resolved
 from fourd.base.progress import Log
 from fourd.base.storage import Location
-from fourd.pipeline.kept import (
+from fourd.pipeline.stage import Leftovers, Stage, StageState
+from fourd.pipeline.work.kept import (
     Trained,
     bring_back,
     find_trained,
@@ -29,8 +30,7 @@ from fourd.pipeline.kept import (
     readers,
     run_of,
 )
-from fourd.pipeline.record import Record, StageEntry, shown_changes
-from fourd.pipeline.stage import Leftovers, Stage, StageState
+from fourd.pipeline.work.record import Record, StageEntry, shown_changes
 from fourd.reconstruction.training.run_layout import PREPARATION
 
 AnyStage = Stage[Any, Any]
