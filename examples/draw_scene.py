@@ -14,9 +14,7 @@ import numpy as np
 import tyro
 from PIL import Image
 
-from fourd.base.cameras import Camera
-from fourd.scene import open_scene
-from fourd.scene.player import Player
+from fourd import Camera, Player, open_scene
 
 
 @dataclass(frozen=True)

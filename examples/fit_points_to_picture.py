@@ -16,8 +16,7 @@ import tyro
 from PIL import Image
 from torch import Tensor
 
-from fourd.base.cameras import Camera, look_at
-from fourd.rendering import render_points
+from fourd import Camera, look_at, render_points
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,12 @@
 
 Importing this package loads neither native modules nor torch. The names in ``__all__`` are loaded at their first use:
 
-- :func:`make` and :func:`train` run the pipeline, as the commands of the same names do.
+- :func:`make` and :func:`train` run the pipeline, as the commands of the same names do, with the settings of a
+  :class:`TrainConfig` and of :class:`MatteSettings`. :func:`open_run` opens a trained run.
 - :func:`open_capture` reads the cameras, images and mattes of a capture.
 - :func:`open_scene` reads a ``.4dv`` scene, and :class:`Player` draws its frames. Neither needs torch.
-- :func:`render_points` is the differentiable point renderer, for a :class:`Camera`.
+- :func:`render_points` is the differentiable point renderer, for a :class:`Camera`, which :func:`look_at` makes.
+- :class:`UserError` is raised for an error that the user can cause.
 """
 
 from importlib import import_module
@@ -14,21 +16,28 @@ from typing import TYPE_CHECKING, Any
 from fourd.base.version import __version__
 
 if TYPE_CHECKING:
-    from fourd.base.cameras import Camera
+    from fourd.base.cameras import Camera, look_at
     from fourd.base.errors import UserError
     from fourd.pipeline.library import make, train
+    from fourd.reconstruction.training.config import TrainConfig
+    from fourd.reconstruction.training.run import open_run
     from fourd.recording.capture import open_capture
+    from fourd.recording.matting.sequence import MatteSettings
     from fourd.rendering import render_points
     from fourd.scene import open_scene
     from fourd.scene.player import Player
 
 __all__ = [
     "Camera",
+    "MatteSettings",
     "Player",
+    "TrainConfig",
     "UserError",
     "__version__",
+    "look_at",
     "make",
     "open_capture",
+    "open_run",
     "open_scene",
     "render_points",
     "train",
@@ -36,10 +45,14 @@ __all__ = [
 
 _MODULES = {
     "Camera": "base.cameras",
+    "MatteSettings": "recording.matting.sequence",
     "Player": "scene.player",
+    "TrainConfig": "reconstruction.training.config",
     "UserError": "base.errors",
+    "look_at": "base.cameras",
     "make": "pipeline.library",
     "open_capture": "recording.capture",
+    "open_run": "reconstruction.training.run",
     "open_scene": "scene",
     "render_points": "rendering",
     "train": "pipeline.library",

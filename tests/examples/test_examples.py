@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from PIL import Image
 
 from fourd.recording.capture import open_capture
 from tests.baking.scenes import ring, write_scene
+from tests.captures import write_ball_capture
 
 ROOT = Path(__file__).parents[2]
 WITHOUT_TORCH = """
@@ -54,6 +56,15 @@ def test_fitting_improves_the_picture(tmp_path: Path) -> None:
     assert scores[-1] > scores[0] + 8
     with Image.open(out) as picture:
         assert picture.size == (64, 32)
+
+
+def test_training_from_python(tmp_path: Path) -> None:
+    """Catches settings that training ignores, and runs that the example overwrites."""
+    capture = write_ball_capture(tmp_path / "capture", cameras=6, frames=2, size=64)
+    arguments = ("--out", tmp_path / "runs", "--max-steps", 20, "--points", 200, 400)
+    lines = run("train_with_settings.py", capture, *arguments).splitlines()
+    found = [re.match(r"(\d+) points: \d+\.\d dB in views that training did not use", line) for line in lines]
+    assert [match and match[1] for match in found] == ["200", "400"]
 
 
 def test_a_scene_is_drawn_without_torch(tmp_path: Path) -> None:

@@ -10,22 +10,14 @@ import numpy as np
 import pytest
 
 import fourd
-from fourd.reconstruction.training.config import TrainConfig
 from tests.captures import write_ball_capture
 
 PUBLIC = {
-    "Camera",
-    "Player",
-    "UserError",
-    "make",
-    "open_capture",
-    "open_scene",
-    "render_points",
-    "train",
-    "__version__",
+    *("Camera", "MatteSettings", "Player", "TrainConfig", "UserError"),
+    *("look_at", "make", "open_capture", "open_run", "open_scene", "render_points", "train"),
 }
 HEAVY = ("torch", "cv2", "numpy", "scipy", "av", "moderngl", "fourd._native")
-SMALL = TrainConfig(max_steps=2, points=300, layers=4)
+SMALL = fourd.TrainConfig(max_steps=2, points=300, layers=4)
 
 
 def test_the_public_names_are_these() -> None:
