@@ -287,7 +287,7 @@ def test_arguments_of_the_wrong_type_are_named() -> None:
     arrays = [torch.zeros(5, 3), torch.zeros(5, 3), torch.ones(5), torch.ones(5)]
     with pytest.raises(TypeError, match=r"xyz: expected a torch.Tensor, got ndarray"):
         render_points(arrays[0].numpy(), *arrays[1:], camera)
-    with pytest.raises(TypeError, match=r"camera: expected a fourd.base.cameras.Camera, got int"):
+    with pytest.raises(TypeError, match=r"camera: expected a fourd.Camera, got int"):
         render_points(*arrays, 3)
     distorted = replace(camera, distortion=np.array([0.1, 0, 0, 0]))
     with pytest.raises(ValueError, match=r"camera: expected an ideal pinhole.*undistort"):

@@ -27,7 +27,7 @@ def clip_matrix(camera: Camera, near: float, far: float) -> Tensor:
         ValueError: if the camera has lens distortion, or the depths are out of range.
     """
     if not isinstance(camera, Camera):
-        raise TypeError(f"camera: expected a fourd.base.cameras.Camera, got {type(camera).__name__}")
+        raise TypeError(f"camera: expected a fourd.Camera, got {type(camera).__name__}")
     if camera.distortion is not None:
         raise ValueError("camera: expected a pinhole camera without lens distortion; undistort the images first")
     if not (0 < near < far and math.isfinite(far)):

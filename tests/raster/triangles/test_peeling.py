@@ -102,5 +102,5 @@ def test_wrong_depths_and_cameras_are_named() -> None:
     bent = Camera(np.diag([50.0, 50, 1]), np.eye(3), np.zeros(3), 8, 8, np.array([0.1, 0, 0, 0]))
     with pytest.raises(ValueError, match="camera: expected a pinhole camera without lens distortion"):
         clip_matrix(bent, 1, 2)
-    with pytest.raises(TypeError, match=r"camera: expected a fourd\.cameras\.Camera, got str"):
+    with pytest.raises(TypeError, match=r"camera: expected a fourd\.Camera, got str"):
         clip_matrix("camera", 1, 2)  # type: ignore[arg-type]

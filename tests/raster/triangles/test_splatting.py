@@ -86,7 +86,7 @@ def arguments() -> dict[str, Any]:
         ({"layers": 0}, ValueError, "layers: expected 1 to 1048576, got 0"),
         ({"layers": 2.5}, TypeError, "layers: expected an integer or None, got float"),
         ({"near": 0.0}, ValueError, "near: expected a finite distance above 0, got 0.0"),
-        ({"camera": None}, TypeError, "camera: expected a fourd.base.cameras.Camera, got NoneType"),
+        ({"camera": None}, TypeError, "camera: expected a fourd.Camera, got NoneType"),
         ({"backend": "fast"}, ValueError, "backend: expected 'auto', 'reference', 'cpu' or 'cuda', got 'fast'"),
     ],
 )

@@ -99,7 +99,7 @@ def _check_dtypes(arrays: Mapping[str, Any], dtypes: tuple[str, ...]) -> None:
 def check_camera(camera: Camera) -> None:
     """Check that a camera is a pinhole camera that a renderer can use. Raises TypeError, ValueError."""
     if not isinstance(camera, Camera):
-        raise TypeError(f"camera: expected a fourd.base.cameras.Camera, got {type(camera).__name__}")
+        raise TypeError(f"camera: expected a fourd.Camera, got {type(camera).__name__}")
     if camera.distortion is not None:
         raise ValueError(
             "camera: expected an ideal pinhole, got one with lens distortion; undistort the images and use "
