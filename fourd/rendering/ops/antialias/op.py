@@ -12,9 +12,10 @@ from torch import Tensor
 
 from fourd.rendering.ops.gpu import contiguous, load_gpu, uses_gpu_kernels
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import operator
 
 
-@torch.library.custom_op("fourd::antialias", mutates_args=(), device_types=("cpu", "cuda"))
+@operator("fourd::antialias", outputs=lambda color: _empty_outputs(color))
 def antialias(
     color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, boost: float, threads: int
 ) -> tuple[Tensor, Tensor]:
@@ -39,14 +40,10 @@ def antialias(
     return out, codes
 
 
-@antialias.register_fake
-def _(
-    color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, boost: float, threads: int
-) -> tuple[Tensor, Tensor]:
-    return _empty_outputs(color)
-
-
-@torch.library.custom_op("fourd::antialias_backward", mutates_args=(), device_types=("cpu", "cuda"))
+@operator(
+    "fourd::antialias_backward",
+    outputs=lambda color, pos, needs_color, needs_pos: _empty_gradients(color, pos, needs_color, needs_pos),
+)
 def antialias_backward(
     color: Tensor,
     rast: Tensor,
@@ -83,22 +80,6 @@ def antialias_backward(
         None if to_pos is None else to_pos.numpy(),
     )
     return grad_color, grad_pos
-
-
-@antialias_backward.register_fake
-def _(
-    color: Tensor,
-    rast: Tensor,
-    pos: Tensor,
-    tri: Tensor,
-    gradient: Tensor,
-    codes: Tensor,
-    boost: float,
-    needs_color: bool,
-    needs_pos: bool,
-    threads: int,
-) -> tuple[Tensor, Tensor]:
-    return _empty_gradients(color, pos, needs_color, needs_pos)
 
 
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:

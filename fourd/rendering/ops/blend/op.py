@@ -9,6 +9,7 @@ from torch import Tensor
 
 from fourd.rendering.ops.blend.reference import LOGIT_RANGE, blend_logits_reference
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import operator
 
 
 def blend_logits(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor) -> Tensor:
@@ -43,19 +44,22 @@ def _arguments(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias
     return [*arrays, float(bias), LOGIT_RANGE, thread_count(0, torch.get_num_threads()), simd_name()]
 
 
-@torch.library.custom_op("fourd::blend_logits", mutates_args=(), device_types="cpu")
+@operator(
+    "fourd::blend_logits",
+    outputs=lambda point, samples: point.new_empty(samples.shape[0], point.shape[0]),
+    devices=("cpu",),
+)
 def _logits(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor) -> Tensor:
     logits = point.new_empty(samples.shape[0], point.shape[0])
     load_native().blend_logits(*_arguments(point, samples, weight, out, bias), logits.numpy())
     return logits
 
 
-@_logits.register_fake
-def _(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor) -> Tensor:
-    return point.new_empty(samples.shape[0], point.shape[0])
-
-
-@torch.library.custom_op("fourd::blend_logits_backward", mutates_args=(), device_types="cpu")
+@operator(
+    "fourd::blend_logits_backward",
+    outputs=lambda point, samples, weight, out, bias: _empty_gradients(point, samples, weight, out, bias),
+    devices=("cpu",),
+)
 def _logits_backward(
     point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor, logits: Tensor, gradient: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -71,13 +75,6 @@ def _logits_backward(
     )
     gradients[2].copy_(grad_weight.T)
     return gradients
-
-
-@_logits_backward.register_fake
-def _(
-    point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor, logits: Tensor, gradient: Tensor
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    return _empty_gradients(point, samples, weight, out, bias)
 
 
 def _setup(ctx: Any, inputs: tuple[Tensor, ...], output: Tensor) -> None:

@@ -14,9 +14,10 @@ from torch import Tensor
 
 from fourd.rendering.ops.gpu import contiguous, load_gpu, uses_gpu_kernels
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import operator
 
 
-@torch.library.custom_op("fourd::edge_gradients", mutates_args=(), device_types=("cpu", "cuda"))
+@operator("fourd::edge_gradients", outputs=lambda pos: torch.empty_like(pos, memory_format=torch.contiguous_format))
 def edge_gradients(
     color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, gradient: Tensor, threads: int
 ) -> Tensor:
@@ -41,13 +42,6 @@ def edge_gradients(
     arrays = (as_array(gradient), to_pos.numpy())
     load_native().edge_gradients(*map(as_array, inputs), instanced, count, simd_name(), *arrays)
     return out
-
-
-@edge_gradients.register_fake
-def _(
-    color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, gradient: Tensor, threads: int
-) -> Tensor:
-    return torch.empty_like(pos, memory_format=torch.contiguous_format)
 
 
 def add_edge_gradients(color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, threads: int) -> Tensor:

@@ -12,6 +12,7 @@ from fourd.rendering.ops.gpu import contiguous, cuda_unavailable_reason, load_gp
 from fourd.rendering.ops.hashgrid.reference import encode_hash_grid_reference
 from fourd.rendering.ops.hashgrid.shape import HashGridShape, check_hash_grid
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import operator
 
 
 def encode_hash_grid(coordinates: Tensor, table: Tensor, shape: HashGridShape) -> Tensor:
@@ -49,7 +50,10 @@ def encode_hash_grid(coordinates: Tensor, table: Tensor, shape: HashGridShape) -
     return _encode(coordinates, table, shape.resolutions, shape.log2_entries)
 
 
-@torch.library.custom_op("fourd::encode_hash_grid", mutates_args=(), device_types=("cpu", "cuda"))
+@operator(
+    "fourd::encode_hash_grid",
+    outputs=lambda coordinates, table, resolutions: _empty_rows(coordinates, table, resolutions),
+)
 def _encode(coordinates: Tensor, table: Tensor, resolutions: Sequence[int], log2_entries: int) -> Tensor:
     out = _empty_rows(coordinates, table, resolutions)
     if uses_gpu_kernels(coordinates):
@@ -70,12 +74,12 @@ def _encode(coordinates: Tensor, table: Tensor, resolutions: Sequence[int], log2
     return out
 
 
-@_encode.register_fake
-def _(coordinates: Tensor, table: Tensor, resolutions: Sequence[int], log2_entries: int) -> Tensor:
-    return _empty_rows(coordinates, table, resolutions)
-
-
-@torch.library.custom_op("fourd::encode_hash_grid_backward", mutates_args=(), device_types=("cpu", "cuda"))
+@operator(
+    "fourd::encode_hash_grid_backward",
+    outputs=lambda coordinates, table, needs_coordinates, needs_table: _empty_gradients(
+        coordinates, table, needs_coordinates, needs_table
+    ),
+)
 def _encode_backward(
     coordinates: Tensor,
     table: Tensor,
@@ -105,19 +109,6 @@ def _encode_backward(
         grad_coordinates.numpy() if needs_coordinates else None,
     )
     return grad_coordinates, grad_table
-
-
-@_encode_backward.register_fake
-def _(
-    coordinates: Tensor,
-    table: Tensor,
-    resolutions: Sequence[int],
-    log2_entries: int,
-    gradient: Tensor,
-    needs_coordinates: bool,
-    needs_table: bool,
-) -> tuple[Tensor, Tensor]:
-    return _empty_gradients(coordinates, table, needs_coordinates, needs_table)
 
 
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:

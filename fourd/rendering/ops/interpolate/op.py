@@ -13,9 +13,10 @@ from torch import Tensor
 
 from fourd.rendering.ops.gpu import contiguous, load_gpu, uses_gpu_kernels
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import operator
 
 
-@torch.library.custom_op("fourd::interpolate_attributes", mutates_args=(), device_types=("cpu", "cuda"))
+@operator("fourd::interpolate_attributes", outputs=lambda attr, rast, diff: _empty_images(attr, rast, diff))
 def interpolate_attributes(
     attr: Tensor, rast: Tensor, tri: Tensor, rast_db: Tensor | None, diff: Sequence[int], threads: int
 ) -> tuple[Tensor, Tensor]:
@@ -37,14 +38,9 @@ def interpolate_attributes(
     return out, out_da
 
 
-@interpolate_attributes.register_fake
-def _(
-    attr: Tensor, rast: Tensor, tri: Tensor, rast_db: Tensor | None, diff: Sequence[int], threads: int
-) -> tuple[Tensor, Tensor]:
-    return _empty_images(attr, rast, diff)
-
-
-@torch.library.custom_op("fourd::interpolate_attributes_backward", mutates_args=(), device_types=("cpu", "cuda"))
+@operator(
+    "fourd::interpolate_attributes_backward", outputs=lambda attr, rast, needed: _empty_gradients(attr, rast, needed)
+)
 def interpolate_attributes_backward(
     attr: Tensor,
     rast: Tensor,
@@ -80,21 +76,6 @@ def interpolate_attributes_backward(
         *(None if target is None else target.numpy() for target in targets),
     )
     return gradients
-
-
-@interpolate_attributes_backward.register_fake
-def _(
-    attr: Tensor,
-    rast: Tensor,
-    tri: Tensor,
-    rast_db: Tensor | None,
-    diff: Sequence[int],
-    grad_out: Tensor,
-    grad_da: Tensor,
-    needed: Sequence[bool],
-    threads: int,
-) -> tuple[Tensor, Tensor, Tensor]:
-    return _empty_gradients(attr, rast, needed)
 
 
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:

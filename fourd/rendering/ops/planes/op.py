@@ -10,6 +10,7 @@ from torch import Tensor
 
 from fourd.rendering.ops.gpu import contiguous, cuda_unavailable_reason, load_gpu, uses_gpu_kernels
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import operator
 from fourd.rendering.ops.planes.reference import sample_planes_reference
 
 MAX_PLANES_GPU = 64
@@ -62,7 +63,7 @@ def _check(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -
             raise ValueError(f"planes[{k}]: expected shape {expected}, got {tuple(plane.shape)}")
 
 
-@torch.library.custom_op("fourd::sample_planes", mutates_args=(), device_types=("cpu", "cuda"))
+@operator("fourd::sample_planes", outputs=lambda coordinates, planes: _empty_samples(coordinates, planes))
 def _sample(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Tensor:
     out = _empty_samples(coordinates, planes)
     if uses_gpu_kernels(coordinates):
@@ -77,12 +78,10 @@ def _sample(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) 
     return out
 
 
-@_sample.register_fake
-def _(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Tensor:
-    return _empty_samples(coordinates, planes)
-
-
-@torch.library.custom_op("fourd::sample_planes_backward", mutates_args=(), device_types=("cpu", "cuda"))
+@operator(
+    "fourd::sample_planes_backward",
+    outputs=lambda coordinates, planes, needs_coordinates: _empty_gradients(coordinates, planes, needs_coordinates),
+)
 def _sample_backward(
     coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int], gradient: Tensor, needs_coordinates: bool
 ) -> tuple[list[Tensor], Tensor]:
@@ -110,13 +109,6 @@ def _sample_backward(
         grad_coordinates.numpy() if needs_coordinates else None,
     )
     return grad_planes, grad_coordinates
-
-
-@_sample_backward.register_fake
-def _(
-    coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int], gradient: Tensor, needs_coordinates: bool
-) -> tuple[list[Tensor], Tensor]:
-    return _empty_gradients(coordinates, planes, needs_coordinates)
 
 
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:

@@ -13,10 +13,11 @@ from torch import Tensor
 
 from fourd.rendering.ops.gpu import uses_gpu_kernels
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import operator
 from fourd.rendering.ops.points import cuda as gpu
 
 
-@torch.library.custom_op("fourd::render_points", mutates_args=(), device_types=("cpu", "cuda"))
+@operator("fourd::render_points", outputs=lambda features, width, height: _empty_image(features, width, height))
 def render(
     xyz: Tensor,
     features: Tensor,
@@ -43,24 +44,10 @@ def render(
     return out
 
 
-@render.register_fake
-def _(
-    xyz: Tensor,
-    features: Tensor,
-    radius: Tensor,
-    density: Tensor,
-    camera: list[float],
-    width: int,
-    height: int,
-    layers: int,
-    near: float,
-    transmittance_min: float,
-    threads: int,
-) -> tuple[Tensor, Tensor, Tensor]:
-    return _empty_image(features, width, height)
-
-
-@torch.library.custom_op("fourd::render_points_backward", mutates_args=(), device_types=("cpu", "cuda"))
+@operator(
+    "fourd::render_points_backward",
+    outputs=lambda xyz, features, radius, density: _empty_gradients(xyz, features, radius, density),
+)
 def render_backward(
     xyz: Tensor,
     features: Tensor,
@@ -95,23 +82,6 @@ def render_backward(
     return out
 
 
-@render_backward.register_fake
-def _(
-    xyz: Tensor,
-    features: Tensor,
-    radius: Tensor,
-    density: Tensor,
-    grad_features: Tensor,
-    grad_alpha: Tensor,
-    grad_depth: Tensor | None,
-    camera: list[float],
-    layers: int,
-    near: float,
-    threads: int,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    return _empty_gradients(xyz, features, radius, density)
-
-
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
     xyz, features, radius, density, camera, width, height, layers, near, transmittance_min, threads = inputs
     if transmittance_min > 0 and any(tensor.requires_grad for tensor in (xyz, features, radius, density)):
@@ -140,7 +110,9 @@ def _backward(
 render.register_autograd(_backward, setup_context=_setup)
 
 
-@torch.library.custom_op("fourd::point_visibility", mutates_args=(), device_types=("cpu", "cuda"))
+@operator(
+    "fourd::point_visibility", outputs=lambda radius: torch.empty_like(radius, memory_format=torch.contiguous_format)
+)
 def visibility(
     xyz: Tensor,
     radius: Tensor,
@@ -161,21 +133,6 @@ def visibility(
     arrays = [as_array(tensor) for tensor in (xyz, radius, density)]
     load_native().point_visibility(*arrays, camera, width, height, layers, near, count, simd_name(), as_array(out))
     return out
-
-
-@visibility.register_fake
-def _(
-    xyz: Tensor,
-    radius: Tensor,
-    density: Tensor,
-    camera: list[float],
-    width: int,
-    height: int,
-    layers: int,
-    near: float,
-    threads: int,
-) -> Tensor:
-    return torch.empty_like(radius, memory_format=torch.contiguous_format)
 
 
 def _check_layers(xyz: Tensor, layers: int) -> None:

@@ -13,10 +13,14 @@ from torch import Tensor
 
 from fourd.rendering.ops.gpu import uses_gpu_kernels
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import operator
 from fourd.rendering.ops.rasterize import cuda as gpu
 
 
-@torch.library.custom_op("fourd::rasterize_triangles", mutates_args=(), device_types=("cpu", "cuda"))
+@operator(
+    "fourd::rasterize_triangles",
+    outputs=lambda pos, ranges, height, width, output_db: _empty_images(pos, ranges, height, width, output_db),
+)
 def rasterize_triangles(
     pos: Tensor,
     tri: Tensor,
@@ -49,22 +53,10 @@ def rasterize_triangles(
     return rast, rast_db
 
 
-@rasterize_triangles.register_fake
-def _(
-    pos: Tensor,
-    tri: Tensor,
-    ranges: Tensor | None,
-    previous: Tensor | None,
-    height: int,
-    width: int,
-    output_db: bool,
-    grad_db: bool,
-    threads: int,
-) -> tuple[Tensor, Tensor]:
-    return _empty_images(pos, ranges, height, width, output_db)
-
-
-@torch.library.custom_op("fourd::rasterize_triangles_backward", mutates_args=(), device_types=("cpu", "cuda"))
+@operator(
+    "fourd::rasterize_triangles_backward",
+    outputs=lambda pos: torch.empty_like(pos, memory_format=torch.contiguous_format),
+)
 def rasterize_triangles_backward(
     pos: Tensor,
     tri: Tensor,
@@ -91,19 +83,6 @@ def rasterize_triangles_backward(
         grad_pos.numpy(),
     )
     return grad_pos
-
-
-@rasterize_triangles_backward.register_fake
-def _(
-    pos: Tensor,
-    tri: Tensor,
-    ranges: Tensor | None,
-    rast: Tensor,
-    grad_rast: Tensor,
-    grad_rast_db: Tensor | None,
-    threads: int,
-) -> Tensor:
-    return torch.empty_like(pos, memory_format=torch.contiguous_format)
 
 
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from fourd.rendering.ops.gpu import contiguous, load_gpu, uses_gpu_kernels
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import operator
 
 RayHits = tuple[Tensor, Tensor, Tensor, Tensor]
 """The K nearest hits of each of R rays: t, u, v (R, K) float32 and triangle (R, K) int32."""
@@ -44,7 +45,7 @@ def tree_cost(nodes: Tensor, blocks: Tensor) -> float:
     return load_native().rays_cost(as_array(nodes.cpu()), as_array(blocks.cpu()))
 
 
-@torch.library.custom_op("fourd::trace_rays", mutates_args=(), device_types=("cpu", "cuda"))
+@operator("fourd::trace_rays", outputs=lambda origins, layers: _empty_hits(origins, layers))
 def trace_rays(
     nodes: Tensor,
     blocks: Tensor,
@@ -78,26 +79,14 @@ def trace_rays(
     return hits
 
 
-@trace_rays.register_fake
-def _(
-    nodes: Tensor,
-    blocks: Tensor,
-    magnitude: float,
-    xyz: Tensor,
-    tri: Tensor,
-    origins: Tensor,
-    directions: Tensor,
-    t_min: Tensor,
-    t_max: Tensor,
-    after_t: Tensor | None,
-    after_triangle: Tensor | None,
-    layers: int,
-    threads: int,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    return _empty_hits(origins, layers)
-
-
-@torch.library.custom_op("fourd::trace_rays_backward", mutates_args=(), device_types=("cpu", "cuda"))
+@operator(
+    "fourd::trace_rays_backward",
+    outputs=lambda xyz, origins, directions: (
+        torch.empty_like(xyz),
+        torch.empty_like(origins),
+        torch.empty_like(directions),
+    ),
+)
 def trace_rays_backward(
     xyz: Tensor,
     tri: Tensor,
@@ -124,24 +113,6 @@ def trace_rays_backward(
         *(as_array(tensor) for tensor in tensors), _threads(threads), *(gradient.numpy() for gradient in gradients)
     )
     return gradients
-
-
-@trace_rays_backward.register_fake
-def _(
-    xyz: Tensor,
-    tri: Tensor,
-    origins: Tensor,
-    directions: Tensor,
-    t: Tensor,
-    u: Tensor,
-    v: Tensor,
-    triangle: Tensor,
-    to_t: Tensor,
-    to_u: Tensor,
-    to_v: Tensor,
-    threads: int,
-) -> tuple[Tensor, Tensor, Tensor]:
-    return torch.empty_like(xyz), torch.empty_like(origins), torch.empty_like(directions)
 
 
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: RayHits) -> None:

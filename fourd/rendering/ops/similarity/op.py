@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import operator
 from fourd.rendering.ops.similarity.reference import WINDOW_PX, structural_similarity_reference
 
 
@@ -34,7 +35,11 @@ def structural_similarity(prediction: Tensor, target: Tensor) -> Tensor:
     return _similarity(prediction, target, needs_gradient)[0]
 
 
-@torch.library.custom_op("fourd::similarity", mutates_args=(), device_types="cpu")
+@operator(
+    "fourd::similarity",
+    outputs=lambda prediction, with_gradient: (prediction.new_empty(()), _empty_gradient(prediction, with_gradient)),
+    devices=("cpu",),
+)
 def _similarity(prediction: Tensor, target: Tensor, with_gradient: bool) -> tuple[Tensor, Tensor]:
     """Return the similarity and its gradient (H, W, C) with respect to the prediction. The gradient is an empty tensor
     if ``with_gradient`` is False.
@@ -44,11 +49,6 @@ def _similarity(prediction: Tensor, target: Tensor, with_gradient: bool) -> tupl
     out = as_array(gradient) if with_gradient else None
     value = load_native().similarity(as_array(prediction), as_array(target), threads, simd_name(), out)
     return prediction.new_tensor(value), gradient
-
-
-@_similarity.register_fake
-def _(prediction: Tensor, target: Tensor, with_gradient: bool) -> tuple[Tensor, Tensor]:
-    return prediction.new_empty(()), _empty_gradient(prediction, with_gradient)
 
 
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:

@@ -13,10 +13,17 @@ from torch import Tensor
 
 from fourd.rendering.ops.gpu import uses_gpu_kernels
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import operator
 from fourd.rendering.ops.soft_triangles import cuda as gpu
 
 
-@torch.library.custom_op("fourd::rasterize_soft", mutates_args=(), device_types=("cpu", "cuda"))
+@operator(
+    "fourd::rasterize_soft",
+    outputs=lambda features, width, height: (
+        features.new_empty(height, width, features.shape[1]),
+        features.new_empty(height, width),
+    ),
+)
 def rasterize(
     xyz: Tensor,
     tri: Tensor,
@@ -44,22 +51,7 @@ def rasterize(
     return out
 
 
-@rasterize.register_fake
-def _(
-    xyz: Tensor,
-    tri: Tensor,
-    features: Tensor,
-    camera: list[float],
-    width: int,
-    height: int,
-    softness: list[float],
-    layers: int,
-    threads: int,
-) -> tuple[Tensor, Tensor]:
-    return features.new_empty(height, width, features.shape[1]), features.new_empty(height, width)
-
-
-@torch.library.custom_op("fourd::rasterize_soft_backward", mutates_args=(), device_types=("cpu", "cuda"))
+@operator("fourd::rasterize_soft_backward", outputs=lambda xyz, features: _empty_gradients(xyz, features))
 def rasterize_backward(
     xyz: Tensor,
     tri: Tensor,
@@ -83,21 +75,6 @@ def rasterize_backward(
         *arrays, camera, softness, layers, count, simd_name(), *map(as_array, gradients), *map(as_array, out)
     )
     return out
-
-
-@rasterize_backward.register_fake
-def _(
-    xyz: Tensor,
-    tri: Tensor,
-    features: Tensor,
-    grad_features: Tensor,
-    grad_alpha: Tensor,
-    camera: list[float],
-    softness: list[float],
-    layers: int,
-    threads: int,
-) -> tuple[Tensor, Tensor]:
-    return _empty_gradients(xyz, features)
 
 
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:

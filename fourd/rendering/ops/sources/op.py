@@ -9,6 +9,7 @@ from torch import Tensor
 
 from fourd.rendering.ops.gpu import contiguous, cuda_unavailable_reason, load_gpu, uses_gpu_kernels
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import operator
 from fourd.rendering.ops.sources.reference import sample_sources_reference
 
 MAX_VIEWS_GPU = 16
@@ -56,7 +57,7 @@ def sample_sources(
     return _sample(xyz, features, images, mattes, depth, cameras, softness)
 
 
-@torch.library.custom_op("fourd::sample_sources", mutates_args=(), device_types=("cpu", "cuda"))
+@operator("fourd::sample_sources", outputs=lambda xyz, features, images: _empty_samples(xyz, features, images))
 def _sample(
     xyz: Tensor,
     features: Tensor | None,
@@ -88,20 +89,10 @@ def _sample(
     return out
 
 
-@_sample.register_fake
-def _(
-    xyz: Tensor,
-    features: Tensor | None,
-    images: Tensor,
-    mattes: Tensor,
-    depth: Tensor | None,
-    cameras: list[float],
-    softness: Tensor,
-) -> tuple[Tensor, Tensor]:
-    return _empty_samples(xyz, features, images)
-
-
-@torch.library.custom_op("fourd::sample_sources_backward", mutates_args=(), device_types=("cpu", "cuda"))
+@operator(
+    "fourd::sample_sources_backward",
+    outputs=lambda xyz, features, needs_features: _empty_gradients(xyz, features, needs_features),
+)
 def _sample_backward(
     xyz: Tensor,
     features: Tensor | None,
@@ -136,19 +127,6 @@ def _sample_backward(
         _optional_array(feature_rows),
     )
     return grad_xyz, grad_features
-
-
-@_sample_backward.register_fake
-def _(
-    xyz: Tensor,
-    features: Tensor | None,
-    images: Tensor,
-    mattes: Tensor,
-    cameras: list[float],
-    gradient: Tensor,
-    needs_features: bool,
-) -> tuple[Tensor, Tensor]:
-    return _empty_gradients(xyz, features, needs_features)
 
 
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:

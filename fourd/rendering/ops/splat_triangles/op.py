@@ -13,6 +13,7 @@ from torch import Tensor
 
 from fourd.rendering.ops.gpu import uses_gpu_kernels
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import operator
 from fourd.rendering.ops.splat_triangles import cuda as gpu
 
 GEOMETRY_CHANNELS = 4
@@ -22,7 +23,10 @@ features if geometry is rendered."""
 Render = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
 
 
-@torch.library.custom_op("fourd::splat_triangles", mutates_args=(), device_types=("cpu", "cuda"))
+@operator(
+    "fourd::splat_triangles",
+    outputs=lambda features, geometry, width, height: _empty_image(features, geometry, width, height),
+)
 def splat(
     xyz: Tensor,
     tri: Tensor,
@@ -62,25 +66,10 @@ def splat(
     return out
 
 
-@splat.register_fake
-def _(
-    xyz: Tensor,
-    tri: Tensor,
-    features: Tensor,
-    opacity: Tensor,
-    sigma: Tensor,
-    geometry: bool,
-    camera: list[float],
-    width: int,
-    height: int,
-    layers: int,
-    near: float,
-    threads: int,
-) -> Render:
-    return _empty_image(features, geometry, width, height)
-
-
-@torch.library.custom_op("fourd::splat_triangles_backward", mutates_args=(), device_types=("cpu", "cuda"))
+@operator(
+    "fourd::splat_triangles_backward",
+    outputs=lambda xyz, features, opacity, sigma: _empty_gradients(xyz, features, opacity, sigma),
+)
 def splat_backward(
     xyz: Tensor,
     tri: Tensor,
@@ -118,24 +107,6 @@ def splat_backward(
         *map(as_array, out),
     )
     return out
-
-
-@splat_backward.register_fake
-def _(
-    xyz: Tensor,
-    tri: Tensor,
-    features: Tensor,
-    opacity: Tensor,
-    sigma: Tensor,
-    rendered: list[Tensor],
-    gradients: list[Tensor],
-    geometry: bool,
-    camera: list[float],
-    layers: int,
-    near: float,
-    threads: int,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    return _empty_gradients(xyz, features, opacity, sigma)
 
 
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: Render) -> None:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from fourd.rendering.ops.gpu import contiguous, load_gpu, uses_gpu_kernels
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import operator
 
 
 def mip_sizes(height: int, width: int, level_count: int) -> list[tuple[int, int]]:
@@ -18,7 +19,7 @@ def mip_sizes(height: int, width: int, level_count: int) -> list[tuple[int, int]
     return [(max(height >> level, 1), max(width >> level, 1)) for level in range(level_count)]
 
 
-@torch.library.custom_op("fourd::build_texture_mips", mutates_args=(), device_types=("cpu", "cuda"))
+@operator("fourd::build_texture_mips", outputs=lambda tex, level_count: _empty_mips(tex, level_count))
 def build_mips(tex: Tensor, level_count: int, threads: int) -> list[Tensor]:
     """Compute levels 1 to ``level_count`` - 1 of a float32 texture (B, H, W, C) or (B, 6, H, H, C).
 
@@ -37,12 +38,7 @@ def build_mips(tex: Tensor, level_count: int, threads: int) -> list[Tensor]:
     return mips
 
 
-@build_mips.register_fake
-def _(tex: Tensor, level_count: int, threads: int) -> list[Tensor]:
-    return _empty_mips(tex, level_count)
-
-
-@torch.library.custom_op("fourd::sample_texture", mutates_args=(), device_types=("cpu", "cuda"))
+@operator("fourd::sample_texture", outputs=lambda tex, uv: _empty_picture(tex, uv))
 def sample_texture(
     tex: Tensor,
     mips: Sequence[Tensor],
@@ -75,22 +71,12 @@ def sample_texture(
     return out
 
 
-@sample_texture.register_fake
-def _(
-    tex: Tensor,
-    mips: Sequence[Tensor],
-    uv: Tensor,
-    uv_da: Tensor | None,
-    bias: Tensor | None,
-    filter_mode: str,
-    boundary_mode: str,
-    is_chain: bool,
-    threads: int,
-) -> Tensor:
-    return _empty_picture(tex, uv)
-
-
-@torch.library.custom_op("fourd::sample_texture_backward", mutates_args=(), device_types=("cpu", "cuda"))
+@operator(
+    "fourd::sample_texture_backward",
+    outputs=lambda tex, mips, uv, uv_da, bias, is_chain, needs: _empty_gradients(tex, mips, uv, uv_da, bias, needs)[
+        : 4 if is_chain else None
+    ],
+)
 def _sample_backward(
     tex: Tensor,
     mips: Sequence[Tensor],
@@ -130,24 +116,6 @@ def _sample_backward(
         [level.numpy() for level in to_levels],
         *map(_optional_array, to_pixels),
     )
-    return out[:4] if is_chain else out
-
-
-@_sample_backward.register_fake
-def _(
-    tex: Tensor,
-    mips: Sequence[Tensor],
-    uv: Tensor,
-    uv_da: Tensor | None,
-    bias: Tensor | None,
-    filter_mode: str,
-    boundary_mode: str,
-    is_chain: bool,
-    threads: int,
-    gradient: Tensor,
-    needs: Sequence[bool],
-) -> list[Tensor]:
-    out = _empty_gradients(tex, mips, uv, uv_da, bias, needs)
     return out[:4] if is_chain else out
 
 
