@@ -38,6 +38,19 @@ def random_upstream(rng: np.random.Generator, images: int) -> tuple[Tensor, Tens
     return torch.from_numpy(rast), torch.from_numpy(0.1 * rast_db)
 
 
+def well_posed_soup(rng: np.random.Generator, behind: bool) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor]]:
+    """Return a soup, and random gradients of its images, for which float32 gives the gradient with respect to the
+    positions. One soup in 500 shows a triangle so nearly edge-on that the reference in float32 is wrong, too."""
+    while True:
+        pos, tri = soup(rng, behind=behind)
+        upstream = random_upstream(rng, len(pos))
+        true = values_and_gradient(pos, tri, upstream, "reference")[2]
+        leaf = pos.clone().requires_grad_()
+        (rounded,) = torch.autograd.grad(rasterize(leaf, tri, SIZE, backend="reference"), leaf, upstream)
+        if float((rounded - true).abs().max()) < 1e-4 * float(true.abs().max()):
+            return pos, tri, upstream
+
+
 def assert_close(found: tuple[Tensor, ...], expected: tuple[Tensor, ...]) -> None:
     rast, rast_db, gradient = found
     assert torch.equal(rast[..., 2:], expected[0][..., 2:])
@@ -65,8 +78,7 @@ def test_kernel_equals_the_reference(
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
-    pos, tri = soup(rng, behind=behind)
-    upstream = random_upstream(rng, len(pos))
+    pos, tri, upstream = well_posed_soup(rng, behind)
     expected = values_and_gradient(pos, tri, upstream, "reference")
     assert float((expected[0][..., 3] > 0).float().mean()) > 0.2
     assert_close(values_and_gradient(pos, tri, upstream, "cpu"), expected)
