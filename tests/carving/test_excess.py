@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import signal
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from fourd.reconstruction.carving.bounds import Bounds
 from fourd.reconstruction.carving.carve import carve_frame
-from fourd.reconstruction.carving.excess import fill_hull, remove_excess
+from fourd.reconstruction.carving.excess import _import_trimesh, fill_hull, remove_excess
 from fourd.reconstruction.carving.hull import Silhouettes
 from tests.captures import ring_cameras
 from tests.carving.shapes import ball, mask
@@ -83,3 +87,25 @@ def test_trimming_can_be_switched_off() -> None:
     masks = [mask(camera, BALLS) for camera in cameras]
     whole, trimmed = (carve_frame(masks, cameras, BOX, points=3000, trim=trim) for trim in (False, True))
     assert (distance_to_balls(trimmed.xyz) > 0.05).mean() < 0.8 * (distance_to_balls(whole.xyz) > 0.05).mean()
+
+
+def test_ctrl_c_during_an_import_is_not_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a Ctrl-C that trimesh swallows, because it catches every exception of its own imports; the command then
+    ended with a traceback of trimesh."""
+    careless = """
+import signal
+try:
+    signal.raise_signal(signal.SIGINT)
+except BaseException:
+    lost = True
+"""
+    (tmp_path / "trimesh.py").write_text(careless)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "trimesh", raising=False)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            _import_trimesh()
+        assert not hasattr(sys.modules.pop("trimesh"), "lost")
+    finally:
+        signal.signal(signal.SIGINT, before)

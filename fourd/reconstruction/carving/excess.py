@@ -15,6 +15,7 @@ constraints, but they solve a convex problem.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import ModuleType
 
 import cv2
 import numpy as np
@@ -23,6 +24,7 @@ from scipy.spatial import cKDTree
 from skimage.measure import marching_cubes
 
 from fourd.base.cameras import Array
+from fourd.base.processes.interrupts import DeferredInterrupt
 from fourd.reconstruction.carving.hull import Silhouettes, refine, root_cells
 from fourd.reconstruction.carving.silhouette import Floats, SilhouetteView, sample
 
@@ -211,8 +213,7 @@ def _surface_inside_hull(
     volume = hull.smoothed(remaining, SURFACE_SMOOTHING_CELLS)
     if float(volume.max(initial=0)) <= 0.5:
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)
-    import trimesh  # Only this function needs trimesh, whose import takes half a second.
-
+    trimesh = _import_trimesh()
     vertices, faces, _, _ = marching_cubes(volume, 0.5, gradient_direction="descent")
     mesh = trimesh.Trimesh(vertices * hull.side + hull.lower, faces, process=False)
     count = max(1, round(float(mesh.area) / size**2))
@@ -220,6 +221,16 @@ def _surface_inside_hull(
     xyz = np.ascontiguousarray(xyz, np.float32)
     is_inside = views.distance(np.ascontiguousarray(xyz.T))[0] > NEAR_CELLS * hull.side
     return xyz[is_inside], np.ascontiguousarray(mesh.face_normals[face][is_inside], np.float32)
+
+
+def _import_trimesh() -> ModuleType:
+    """Import trimesh where it is needed, because this takes half a second. Ctrl-C is deferred, because trimesh catches
+    every exception of its own imports, and would fail later."""
+    with DeferredInterrupt() as interrupt:
+        import trimesh
+    if interrupt.is_pending:
+        raise KeyboardInterrupt
+    return trimesh
 
 
 def _is_near(xyz: Floats, others: Floats, distance: float) -> NDArray[np.bool_]:
