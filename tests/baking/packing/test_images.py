@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import zstandard
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 from fourd.base.errors import UserError
 from fourd.cli.main import main
@@ -57,9 +58,10 @@ def packed(tmp_path: Path, rng: np.random.Generator) -> Path:
 
 
 def nearest(old: BakedFrame, new: BakedFrame) -> NDArray[np.int64]:
-    """Return for each point of ``new`` the index of the same point of ``old``."""
+    """Return for each point of ``new`` the index of the same point of ``old``. No two points have the same index, also
+    where rounded positions are nearer to a neighbour."""
     distances = np.square(new.xyz[:, None] - old.xyz[None]).sum(axis=2)
-    return np.asarray(distances.argmin(axis=1))
+    return np.asarray(linear_sum_assignment(distances)[1])
 
 
 def test_sampled_colours_are_near_the_exact_ones(packed: Path) -> None:
