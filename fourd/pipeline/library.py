@@ -14,6 +14,7 @@ from fourd.reconstruction.training.cameras.selection import with_test_split
 from fourd.reconstruction.training.config import TrainConfig
 from fourd.reconstruction.training.run import Run, open_run
 from fourd.recording.matting.sequence import MatteSettings
+from fourd.rendering.ops.gpu import DeviceName
 
 
 def make(
@@ -23,6 +24,7 @@ def make(
     *,
     mattes: MatteSettings | None = None,
     workers: int = 1,
+    device: DeviceName = "auto",
     quiet: bool = False,
 ) -> RunSummary:
     """Make a scene file from videos or a capture, as ``fourd make`` does. A repeated call resumes an interrupted one.
@@ -34,6 +36,7 @@ def make(
         mattes: the settings of matting. If None, the defaults.
         workers: number of processes. With more than one, the caller needs ``if __name__ == "__main__":``, because each
             process imports the main module.
+        device: device that trains. "auto" is a GPU if torch and the kernels of fourd can use one, otherwise the CPU.
         quiet: whether to print no progress.
 
     Returns the measured quality of the run, and warnings about it.
@@ -41,7 +44,7 @@ def make(
     Raises:
         UserError: if the input is invalid, or the folder of intermediate results belongs to something else.
     """
-    context = Context(Terminal(quiet=quiet), workers)
+    context = Context(Terminal(quiet=quiet), workers, device=device)
     return make_scene(Path(source), Path(out), config or TrainConfig(), mattes or MatteSettings(), context)
 
 
@@ -51,6 +54,7 @@ def train(
     config: TrainConfig | None = None,
     *,
     workers: int = 1,
+    device: DeviceName = "auto",
     quiet: bool = False,
 ) -> Run:
     """Train a run on a capture with masks or mattes, as ``fourd train`` does.
@@ -61,6 +65,7 @@ def train(
         config: the settings of training. If None, the defaults. A config without ``max_steps`` and ``max_seconds``
             trains until it is interrupted.
         workers: number of processes that prepare the training; see :func:`make`.
+        device: device that trains; see :func:`make`.
         quiet: whether to print no progress.
 
     Returns the trained run: its config, its capture, and its training and held-out cameras.
@@ -70,7 +75,7 @@ def train(
     """
     capture, out = Path(capture), Path(out)
     require_new_run(out)
-    context = Context(Terminal(quiet=quiet), workers)
+    context = Context(Terminal(quiet=quiet), workers, device=device)
     selected = with_test_split(config or TrainConfig(), capture, context.log)
     Runner(context).run(stages_to_run(RunRequest(capture, out, selected)))
     return open_run(out)
