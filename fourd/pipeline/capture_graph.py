@@ -10,7 +10,7 @@ from pathlib import Path
 
 from fourd.base.errors import UserError, command_line
 from fourd.pipeline.runner import AnyStage
-from fourd.pipeline.stages.hull_mattes import MIN_MASKED, hull_matte_settings, hull_mattes_stage
+from fourd.pipeline.stages.hull_mattes import MIN_MASKED, MIN_MASKED_TO_SCORE, hull_matte_settings, hull_mattes_stage
 from fourd.pipeline.stages.import_ import import_stage
 from fourd.pipeline.stages.mattes import MatteStageSettings, mattes_stage
 from fourd.pipeline.stages.plates import capture_plates_stage
@@ -77,16 +77,17 @@ def stages_to_hull_mattes(
     names = _partly_masked(capture, views) if has_masks(capture) else []
     if not names:
         return ()
-    held_out = select_views(test_views, names, "--test-views") if test_views else []
+    held_out = _held_out(capture, views, test_views)
     settings = hull_matte_settings(capture, names, held_out, frames)
-    needed = 2 if set(settings.missing) <= set(held_out) else MIN_MASKED
+    needed = MIN_MASKED_TO_SCORE if set(settings.missing) <= set(held_out) else MIN_MASKED
     return (hull_mattes_stage(capture, settings),) if len(settings.given) >= needed else ()
 
 
 def _held_out(capture: Path, views: Sequence[str] | None, test_views: Sequence[str]) -> tuple[str, ...]:
     """Return the full names of the held-out cameras among ``views``."""
-    names = select_views(views, camera_names(capture))
-    return tuple(select_views(test_views, names, "--test-views"))
+    if not test_views:
+        return ()
+    return tuple(select_views(test_views, select_views(views, camera_names(capture)), "--test-views"))
 
 
 def stages_to_mattes(
@@ -110,10 +111,10 @@ def stages_to_mattes(
         from_hull: whether masks of at least three cameras take the place of the method of ``settings``.
     """
     stages: list[AnyStage] = []
-    if test_views and not has_masks(capture):
-        settings = replace(settings, held_out=_held_out(capture, settings.views, test_views))
     if lacks_masks(capture, settings.views):
         hull = stages_to_hull_mattes(capture, settings.views, settings.frames, test_views) if from_hull else ()
+        if not hull:
+            settings = replace(settings, held_out=_held_out(capture, settings.views, test_views))
         stages += hull or (mattes_stage(capture, settings),)
     if plates:
         stages.append(capture_plates_stage(capture, settings))

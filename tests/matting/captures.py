@@ -15,10 +15,10 @@ from fourd.recording.capture import Capture, open_capture
 from tests.captures import write_ball_capture
 
 
-def write_capture_without_masks(folder: Path, *, frames: int = 8, size: int = 96) -> Path:
+def write_capture_without_masks(folder: Path, *, frames: int = 8, size: int = 96, cameras: int = 8) -> Path:
     """Write a ball capture without masks into ``folder``. The true masks are written to truth/masks in the same
     folder."""
-    capture = write_ball_capture(folder / "capture", cameras=8, frames=frames, size=size)
+    capture = write_ball_capture(folder / "capture", cameras=cameras, frames=frames, size=size)
     shutil.move(capture / "masks", folder / "truth" / "masks")
     return capture
 

@@ -25,6 +25,8 @@ from fourd.recording.matting.selection import Selection
 VERSION = 1
 MIN_MASKED = 3
 """Minimum number of cameras with masks. The hull of two silhouettes is too large for a matte."""
+MIN_MASKED_TO_SCORE = 2
+"""Minimum number of cameras with masks if only held-out cameras have none. Their mattes select the scored pixels."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.edited_mattes import kept_if_edited
-from fourd.pipeline.stages.silhouettes import MIN_HULL_VIEWS, write_silhouettes
+from fourd.pipeline.stages.silhouettes import write_silhouettes
 from fourd.reconstruction.carving.matte_quality import measure_mattes
 from fourd.recording.capture import Capture, open_capture
 from fourd.recording.capture.layout import DERIVED, MATTES, camera_names, select_views
@@ -21,6 +21,9 @@ from fourd.recording.matting.sequence import MatteSettings, make_mattes
 
 COMBINING_METHODS = ("motion",)
 """Methods that combine the evidence of all cameras, so that each image influences the mattes of all cameras."""
+MIN_SILHOUETTE_VIEWS = 8
+"""Minimum number of cameras whose hull gives held-out cameras their mattes. The silhouettes of 8 cameras have an IoU of
+0.94 with the true masks of two captures, those of 6 cameras 0.88 and 0.92, and those of 3 cameras 0.73 and 0.86."""
 QUALITY = DERIVED / "matte_quality.json"
 """JSON file that records how well the mattes agree with visual hulls: three numbers for each camera in each of a few
 frames; see ``fourd.reconstruction.carving.matte_quality.MatteQuality``."""
@@ -50,13 +53,19 @@ class MatteStageSettings:
     mattes: MatteSettings
     held_out: tuple[str, ...] = ()
 
+    @property
+    def separates(self) -> bool:
+        """Whether mattes of held-out views should not be made together with the others."""
+        return bool(self.held_out) and self.mattes.method in COMBINING_METHODS
+
     def split(self, capture: Path) -> tuple[tuple[str, ...] | None, tuple[str, ...]]:
-        """Return the views whose images the mattes are made from, and the held-out views that get silhouettes."""
-        if not self.held_out or self.mattes.method not in COMBINING_METHODS:
+        """Return the views whose images the mattes are made from, and the held-out views that get silhouettes: none if
+        the others are too few."""
+        if not self.separates:
             return self.views, ()
         names = select_views(self.views, camera_names(capture))
         used = tuple(name for name in names if name not in self.held_out)
-        if len(used) < MIN_HULL_VIEWS:
+        if len(used) < MIN_SILHOUETTE_VIEWS:
             return self.views, ()
         return used, tuple(name for name in names if name in self.held_out)
 
@@ -78,6 +87,12 @@ def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context
     kept."""
     path = files.capture
     used, held_out = settings.split(path)
+    if settings.separates and not held_out:
+        names = ", ".join(settings.held_out)
+        context.log(
+            f"{path}: the mattes are made from all cameras, with the held-out images of {names}: silhouettes of the hull "
+            f"of fewer than {MIN_SILHOUETTE_VIEWS} other cameras are too large to score views with"
+        )
     selection = Selection(path, used, settings.frames)
     index_capture(path, settings.views, context.track)
     with kept_if_edited(path, context.log):

@@ -14,10 +14,6 @@ from fourd.reconstruction.carving.coherence import hull_silhouettes
 from fourd.recording.matting.selection import Selection
 from fourd.recording.matting.sequence import write_matte
 
-MIN_HULL_VIEWS = 2
-"""Minimum number of cameras whose hull gives held-out cameras their mattes, which only select the pixels that are
-scored."""
-
 
 def write_silhouettes(
     given: Selection, missing: Sequence[str], frames: Sequence[int], folder: Path, context: Context
