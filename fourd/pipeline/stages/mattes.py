@@ -90,8 +90,8 @@ def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context
     if settings.separates and not held_out:
         names = ", ".join(settings.held_out)
         context.log(
-            f"{path}: the mattes are made from all cameras, with the held-out images of {names}: silhouettes of the hull "
-            f"of fewer than {MIN_SILHOUETTE_VIEWS} other cameras are too large to score views with"
+            f"{path}: the mattes are made from all cameras, with the held-out images of {names}: silhouettes of the "
+            f"hull of fewer than {MIN_SILHOUETTE_VIEWS} other cameras are too large to score views with"
         )
     selection = Selection(path, used, settings.frames)
     index_capture(path, settings.views, context.track)
