@@ -1,19 +1,20 @@
-"""Selects the stages that an input needs, and orders them by their dependencies.
+"""Selects the stages from a checked capture to a scene, and orders them by their dependencies.
 
-The order of the stages is import, check, repair, mattes, plates, adjust, carve (or points), background, train, bake.
-Which stages are needed depends on the contents of the capture and on these settings: the kind of scene, camera
-refinement, the user's initial points, and segments. Segments are ranges of frames with separate models, and each has
-its own training stage.
+The order of the stages is mattes, plates, colours, adjust, carve (or points), background, train, bake. Which stages are
+needed depends on the masks of the capture and on these settings: the kind of scene, camera refinement, the user's
+initial points, and segments. Segments are ranges of frames with separate models, and each has its own training stage.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.pipeline.capture_graph import has_masks, lacks_masks, stages_to_hull_mattes, stages_to_mattes
+from fourd.pipeline.capture_graph import stages_to_hull_mattes, stages_to_mattes
+from fourd.pipeline.facts import MaskFacts
 from fourd.pipeline.runner import AnyStage
-from fourd.pipeline.segments import divide_stage, segment_stages
+from fourd.pipeline.segments import divide_stage, segment_stages, selected_frames
 from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
 from fourd.pipeline.stages.cameras.adjust import AdjustSettings, adjust_stage
 from fourd.pipeline.stages.cameras.colours import colours_stage, measures_colours
@@ -93,47 +94,63 @@ def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple
 
 def stages_to_run(request: RunRequest) -> tuple[AnyStage, ...]:
     """Return the stages that train a run. The capture must have masks or mattes, at least of some cameras."""
-    files = TrainFiles(request.capture, request.run, request.lpips_weights)
-    train = request.train
+    capture, train = request.capture, request.train
+    files = TrainFiles(capture, request.run, request.lpips_weights)
     made: tuple[AnyStage, ...] = ()
+    masks = MaskFacts.read(capture)
     # Mattes whose method the user chose with fourd matte are kept.
-    if has_masks(request.capture) and chosen_method(request.capture) is None:
-        made = stages_to_hull_mattes(request.capture, train.views, train.frames, train.test_views or ())
-    return (*made, *stages_to_first_points(request), *training_stages(files, train))
+    if masks.has_masks and chosen_method(capture) is None:
+        made = stages_to_hull_mattes(capture, masks, train.views, train.frames, train.test_views or ())
+    numbers = () if train.segments.frames is None else selected_frames(capture, train)
+    return (*made, *stages_to_first_points(request), *training_stages(files, train, numbers))
 
 
-def training_stages(files: TrainFiles, config: TrainConfig) -> tuple[AnyStage, ...]:
+def training_stages(files: TrainFiles, config: TrainConfig, numbers: Sequence[int]) -> tuple[AnyStage, ...]:
     """Return the stage that trains a run. For a run with segments, return instead the stage that divides the run into
-    segments, and one training stage for each segment."""
+    segments, and one training stage for each segment. ``numbers`` are the numbers of the run's frames, which only a run
+    with segments needs."""
     if config.segments.frames is None:
         return (train_stage(files, config),)
-    return (divide_stage(files, config), *segment_stages(files, config))
+    return (divide_stage(files, config), *segment_stages(files, config, numbers))
 
 
 def stages_to_resume(files: TrainFiles, config: TrainConfig) -> tuple[AnyStage, ...]:
     """Return the stages that continue the training of an existing run."""
-    return (train_stage(files, config),) if config.segments.frames is None else segment_stages(files, config)
+    if config.segments.frames is None:
+        return (train_stage(files, config),)
+    return segment_stages(files, config, selected_frames(files.capture, config))
 
 
 def stages_to_scene(
-    request: RunRequest, mattes: MatteSettings | None, scene: Path, *, from_hull: bool = True
+    request: RunRequest,
+    masks: MaskFacts,
+    mattes: MatteSettings | None,
+    scene: Path,
+    numbers: Sequence[int] = (),
+    *,
+    from_hull: bool = True,
 ) -> tuple[AnyStage, ...]:
     """Return the stages that make the scene file ``scene`` from a capture that was already checked.
 
-    If ``mattes`` is None, the capture already has its mattes. If ``from_hull`` is true and the user provided masks of
-    some cameras, the mattes of the other cameras are made from these masks.
+    Args:
+        request: the run.
+        masks: which cameras of the capture have masks from the user.
+        mattes: the settings of the mattes, or None if the capture already has its mattes.
+        scene: the scene file.
+        numbers: the numbers of the run's frames, which only a run with segments needs.
+        from_hull: whether the mattes of cameras without masks are made from the masks of the other cameras.
     """
     train = request.train
     made: tuple[AnyStage, ...] = ()
     # With masks of some cameras, the run's own plates are made, as with masks of all cameras.
-    plates = mattes is not None and not has_masks(request.capture)
-    if mattes is not None and lacks_masks(request.capture, train.views):
+    plates = mattes is not None and not masks.has_masks
+    if mattes is not None and masks.lacks_masks(train.views):
         settings = MatteStageSettings(train.views, train.frames, mattes)
         made = stages_to_mattes(
-            request.capture, settings, plates, test_views=train.test_views or (), from_hull=from_hull
+            request.capture, masks, settings, plates, test_views=train.test_views or (), from_hull=from_hull
         )
     prepared = stages_to_first_points(request, plates=not plates)
-    trained = training_stages(TrainFiles(request.capture, request.run, request.lpips_weights), train)
+    trained = training_stages(TrainFiles(request.capture, request.run, request.lpips_weights), train, numbers)
     names = tuple(stage.name for stage in trained)
     bake = bake_stage(BakeFiles(request.run, scene), BakeSettings(), request.capture, names)
     return (*made, *prepared, *trained, bake)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
-from contextlib import nullcontext
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,16 +13,16 @@ from fourd.base.errors import UserError, command_line
 from fourd.base.files import atomic_path, is_unused, remove_unfinished, remove_unfinished_file, require_suffix
 from fourd.base.processes import locked_folder
 from fourd.base.storage import Location, StorageUrl, check_writable, upload_changed
-from fourd.pipeline.capture_graph import lacks_masks, stages_to_capture
 from fourd.pipeline.cluster import Cluster
+from fourd.pipeline.facts import MaskFacts, is_usable
 from fourd.pipeline.fetch import fetch_stage, fetched_path
-from fourd.pipeline.graph import RunRequest, stages_to_first_points, stages_to_scene
+from fourd.pipeline.graph import RunRequest, stages_to_first_points
 from fourd.pipeline.plan import describe_plan
 from fourd.pipeline.runner import Execute, Runner, run_here
+from fourd.pipeline.scene_graph import SceneStages
+from fourd.pipeline.segments import selected_frames
 from fourd.pipeline.stage import Context
-from fourd.pipeline.stages.cameras.repair import repair_stage, repaired_capture
-from fourd.pipeline.stages.check import check_stage
-from fourd.pipeline.stages.still import still_stage
+from fourd.pipeline.stages.cameras.repair import repaired_capture
 from fourd.pipeline.stages.summary import RunSummary, summarize_run
 from fourd.pipeline.stages.train import start_run
 from fourd.pipeline.still_scenes import stands_still, still_config
@@ -39,9 +40,6 @@ from fourd.recording.importing.importer import ImportOptions
 from fourd.recording.matting.sequence import MatteSettings, chosen_method, forget_choice
 
 RECORD = "stages.json"
-CAPTURE = "capture"
-REPAIRED = "repaired"
-STILL = "still"
 SCENE = "scene.4dv"
 """Name of the scene file in the folder for intermediate results, if this folder is in an object store. From there, the
 finished file is copied to the path or URL of the option -o."""
@@ -57,16 +55,51 @@ class MatteChoice:
     settings: MatteSettings
     keep_chosen: bool = False
 
-    def settings_for(self, capture: Path, context: Context) -> MatteSettings | None:
-        """Return the settings for making mattes of ``capture``. If its mattes are kept, log this and return None."""
-        method = chosen_method(capture) if self.keep_chosen and lacks_masks(capture) else None
+
+@dataclass(frozen=True)
+class WrittenFiles:
+    """What the stages so far have found, read from the files that they have written; see
+    :class:`fourd.pipeline.scene_graph.Look`.
+
+    Attributes:
+        choice: settings of the mattes.
+        context: console on which decisions are printed.
+        held: locks of the capture's folder, which are released when all stages have finished.
+    """
+
+    choice: MatteChoice
+    context: Context
+    held: ExitStack
+
+    def held_out(self, train: TrainConfig, capture: Path) -> TrainConfig:
+        return with_test_split(train, capture, self.context.log)
+
+    def repaired(self, capture: Path, repaired: Path) -> Path:
+        return repaired_capture(capture, repaired)
+
+    def still(self, capture: Path, train: TrainConfig) -> TrainConfig | None:
+        return still_config(train, capture, self.context.log) if stands_still(capture, train) else None
+
+    def masks(self, capture: Path) -> MaskFacts:
+        return MaskFacts.read(capture)
+
+    def mattes(self, capture: Path, masks: MaskFacts, train: TrainConfig) -> MatteSettings | None:
+        # The capture's folder .fourd/ is locked only if a camera lacks masks from the user. Otherwise, no mattes are
+        # written, and the capture may be on a read-only disk.
+        if masks.lacks_masks(train.views):
+            self.held.enter_context(locked_folder(capture / DERIVED))
+        keep = self.choice.keep_chosen
+        method = chosen_method(capture) if keep and masks.lacks_masks() else None
         if method is None:
-            if not self.keep_chosen:
+            if not keep:
                 forget_choice(capture)
-            return self.settings
+            return self.choice.settings
         made = command_line("fourd", "matte", "--method", method)
-        context.log(f"{capture / MATTES}: keeping the mattes of {made}; add --method to make others")
+        self.context.log(f"{capture / MATTES}: keeping the mattes of {made}; add --method to make others")
         return None
+
+    def frame_numbers(self, capture: Path, train: TrainConfig) -> Sequence[int]:
+        return selected_frames(capture, train)
 
 
 @dataclass(frozen=True)
@@ -217,35 +250,21 @@ def _local_source(source: Location, work: Path, runner: Runner) -> Path:
     return fetched_path(source, work / SOURCE)
 
 
-def _run_graph(request: SceneRequest, source: RunRequest, work: Path, out: Path, runner: Runner) -> None:
-    """Run the stages of :func:`make_scene` in the locked folder for intermediate results. ``source`` describes the run.
-    ``source.capture`` is the path of the input, which may need an import. ``out`` is a local file."""
-    given, train, options, context = source.capture, source.train, request.imports, request.context
-    to_capture = stages_to_capture(given, work / CAPTURE, options)
+def _run_graph(request: SceneRequest, run: RunRequest, work: Path, out: Path, runner: Runner) -> None:
+    """Run the stages of :func:`make_scene` in the locked folder for intermediate results. ``run.capture`` is the path
+    of the input, which may need an import. ``out`` is a local file."""
+    given, options, context = run.capture, request.imports, request.context
+    stages = SceneStages(given, run, options, work, out, from_hull=request.mattes.keep_chosen)
     remove_unfinished_file(out)
-    context.log(describe_plan(given, train, context.workers, source.points_from is not None))
-    if options.fps is not None and not to_capture:
+    context.log(describe_plan(stages, context.workers))
+    if options.fps is not None and is_usable(given):
         if given.is_relative_to(work) and runner.is_stored:
             runner.run((rate_stage(given, options.fps),))
         else:
             set_rate(given, options.fps)
-    runner.run(to_capture)
-    # The import runs first, because the contents of the imported capture decide which stages follow.
-    capture = work / CAPTURE if to_capture else given
-    runner.run((check_stage(capture), repair_stage(capture, work / REPAIRED)))
-    train = with_test_split(train, capture, context.log)
-    capture = repaired_capture(capture, work / REPAIRED)
-    is_still = source.points_from is None and stands_still(capture, train)
-    if is_still:
-        train = still_config(train, capture, context.log)
-        runner.run((still_stage(capture, work / STILL),))
-        capture = work / STILL
-    run = replace(source, capture=capture, train=train, still=is_still)
-    # The capture's folder .fourd/ is locked only if a camera lacks masks from the user. Otherwise, no mattes are
-    # written, and the capture may be on a read-only disk.
-    with nullcontext() if not lacks_masks(capture, train.views) else locked_folder(capture / DERIVED):
-        mattes = request.mattes.settings_for(capture, context)
-        runner.run(stages_to_scene(run, mattes, out, from_hull=request.mattes.keep_chosen))
+    with ExitStack() as held:
+        for group in stages.groups(WrittenFiles(request.mattes, context, held)):
+            runner.run(group)
 
 
 def _work_folder(out: Location, given: Path | None) -> Path:

@@ -20,7 +20,7 @@ from fourd.base.files import atomic_path
 from fourd.base.processes import locked_folder
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stage import Context, Leftovers, Stage
-from fourd.pipeline.stages.train import PREPARED_BY, TrainFiles, start_run, train_run
+from fourd.pipeline.stages.train import PREPARED_BY, TrainFiles, expected_training_s, start_run, train_run
 from fourd.reconstruction.carving.sequence import BOUNDS_NAME
 from fourd.reconstruction.training.cameras.selection import DataSelection, open_run_views
 from fourd.reconstruction.training.checkpoints import latest_checkpoint
@@ -83,10 +83,14 @@ def divide_stage(files: TrainFiles, config: TrainConfig) -> Stage[DivideFiles, T
     )
 
 
-def segment_stages(files: TrainFiles, config: TrainConfig) -> tuple[AnyStage, ...]:
-    """Create the stages that train the segments of a run. The number of frames is read from the capture."""
-    with open_run_views(files.capture, DataSelection.of(config)) as views:
-        numbers = views.capture.frame_numbers
+def selected_frames(capture: Path, config: TrainConfig) -> tuple[int, ...]:
+    """Return the numbers of the frames of a capture that the config selects."""
+    with open_run_views(capture, DataSelection.of(config)) as views:
+        return tuple(views.capture.frame_numbers)
+
+
+def segment_stages(files: TrainFiles, config: TrainConfig, numbers: Sequence[int]) -> tuple[AnyStage, ...]:
+    """Create the stages that train the segments of a run with the frames ``numbers``."""
     plan = SegmentPlan.divide(len(numbers), config.segments)
     return tuple(_train_stage(files, config, plan, numbers, index) for index in range(len(plan.ranges)))
 
@@ -106,6 +110,7 @@ def _train_stage(
         after=(DIVIDE, *(() if previous is None else (f"train {previous.name}",))),
         is_parallel=True,
         has_checkpoints=True,
+        expected_s=expected_training_s,
     )
 
 

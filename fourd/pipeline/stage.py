@@ -14,6 +14,7 @@ from rich.console import Console
 
 from fourd.base.files import resolved
 from fourd.base.progress import Log, Terminal, Track, Tracker, console_log
+from fourd.pipeline.workload import Workload
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -151,6 +152,8 @@ class Stage(Generic[Files, Settings]):
         is_portable: whether the stage can run on a machine that shares no folder with the machine that created the
             stage.
         has_checkpoints: whether the stage writes checkpoints, from which another machine can continue its work.
+        expected_s: module-level function that returns the expected duration in seconds, for the plan of ``fourd make``.
+            None for stages that take seconds.
         starts_run: whether the stage starts the training in the run folder ``leftovers[0].folder``. The runner may
             instead bring back a run that it kept when an earlier command had other settings.
     """
@@ -167,6 +170,7 @@ class Stage(Generic[Files, Settings]):
     is_portable: bool = False
     has_checkpoints: bool = False
     starts_run: bool = False
+    expected_s: Callable[[Settings, Workload], float] | None = None
 
     def state(self, keys: Mapping[str, str], root: Path | None = None) -> StageState:
         """Return everything on which the result of the stage depends, in readable form, and its hash.
@@ -197,6 +201,10 @@ class Stage(Generic[Files, Settings]):
                 depend on it.
         """
         return self.state(keys, root).key
+
+    def duration_s(self, workload: Workload) -> float:
+        """Return a rough estimate of the duration in seconds, or 0 for a stage that takes seconds."""
+        return 0.0 if self.expected_s is None else self.expected_s(self.settings, workload)
 
     def is_finished(self) -> bool:
         """Return True if all outputs exist."""

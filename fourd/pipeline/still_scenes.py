@@ -10,7 +10,7 @@ import numpy as np
 
 from fourd.base.errors import UserError
 from fourd.base.progress import Log
-from fourd.pipeline.capture_graph import has_masks
+from fourd.pipeline.facts import has_masks
 from fourd.reconstruction.training.config import TrainConfig
 from fourd.recording.capture import Capture, open_capture
 from fourd.recording.capture.layout import MATTES, sample_indices

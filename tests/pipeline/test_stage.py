@@ -11,6 +11,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from fourd.pipeline.facts import MaskFacts
 from fourd.pipeline.graph import RunRequest, stages_to_scene
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
@@ -68,7 +69,7 @@ def test_every_stage_of_the_graph_pickles(ball_capture: Path, tmp_path: Path) ->
     capture = Path(shutil.copytree(ball_capture, tmp_path / "capture", ignore=shutil.ignore_patterns("masks")))
     for source in (ball_capture, capture):
         request = RunRequest(source, tmp_path / "run", config)
-        stages = stages_to_scene(request, MatteSettings(), tmp_path / "scene.4dv")
+        stages = stages_to_scene(request, MaskFacts.read(source), MatteSettings(), tmp_path / "scene.4dv")
         assert pickle.loads(pickle.dumps(stages)) == stages
         assert len({stage.name for stage in stages}) == len(stages)
     assert [stage.name for stage in stages] == [

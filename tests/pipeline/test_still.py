@@ -14,12 +14,12 @@ from rich.console import Console
 
 from fourd.base.errors import UserError
 from fourd.pipeline.make import make_scene
-from fourd.pipeline.plan import describe_plan
 from fourd.pipeline.stage import Context
 from fourd.pipeline.still_scenes import stands_still
 from fourd.recording.capture import open_capture
 from fourd.recording.matting.sequence import MatteSettings
 from fourd.scene.container import SceneReader
+from tests.pipeline.test_plan import planned
 from tests.training.small import SMALL, full_config, with_steps
 
 
@@ -50,7 +50,7 @@ def test_photos_become_a_whole_scene(ball_capture: Path, tmp_path: Path) -> None
     text = io.StringIO()
     context = Context(Console(file=text, width=300))
     config = with_steps(full_config(tmp_path / "seeds.ply"), 2)
-    assert "still, points, plates, background" in describe_plan(photos, config, 1)
+    assert "still, points, plates, background" in planned(photos, config, 1)
     make_scene(photos, out, config, MatteSettings(), context)
     assert "still scene: one frame: the background is made from the images of frame 0" in text.getvalue()
     plate = cv2.imread(str(next((tmp_path / "scene.work" / "run" / "background" / "plates").iterdir())), -1)

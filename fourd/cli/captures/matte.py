@@ -14,7 +14,8 @@ from fourd.base.processes import locked_folder
 from fourd.base.progress import Terminal
 from fourd.cli.options import CapturePath, SelectionOptions, Workers, option, split_names, worker_count
 from fourd.cli.outputs import READS, require_distinct
-from fourd.pipeline.capture_graph import MASKS, has_masks, lacks_masks, stages_to_mattes
+from fourd.pipeline.capture_graph import stages_to_mattes
+from fourd.pipeline.facts import MASKS, MaskFacts
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.mattes import MatteStageSettings
@@ -101,11 +102,12 @@ def run(arguments: Arguments) -> None:
     capture, selection = arguments.capture, arguments.selection
     settings = MatteStageSettings(selection.names, selection.frames, arguments.mattes.settings(arguments.seed))
     context = Context(Terminal(stderr=True), worker_count(arguments.workers))
-    masks, is_complete = has_masks(capture), not lacks_masks(capture, selection.names)
+    masks = MaskFacts.read(capture)
+    is_complete = not masks.lacks_masks(selection.names)
     from_hull = not arguments.mattes.is_given
     if arguments.mattes.masks is not None:
         require_distinct(capture / MATTES, [arguments.mattes.masks])
-    if masks and arguments.mattes.paint:
+    if masks.has_masks and arguments.mattes.paint:
         raise UserError(
             f"--paint: expected a capture without {MASKS}/, got {capture / MASKS}; edit these masks instead"
         )
@@ -113,14 +115,14 @@ def run(arguments: Arguments) -> None:
     with locked_folder(capture / DERIVED):
         held_out = _held_out(arguments)
         Runner(context).run(
-            stages_to_mattes(capture, settings, arguments.plates, test_views=held_out, from_hull=from_hull)
+            stages_to_mattes(capture, masks, settings, arguments.plates, test_views=held_out, from_hull=from_hull)
         )
-        if not masks or (not is_complete and not from_hull):
+        if not masks.has_masks or (not is_complete and not from_hull):
             record_choice(capture, settings.mattes)
     lines = [f"{capture / MATTES}: mattes; {capture / SHEET} shows examples of the mattes"]
     if is_complete:
         lines = [f"{capture / MASKS}: the capture has masks, so no mattes were made"]
-    elif masks:
+    elif masks.has_masks:
         lines = [f"{capture / MATTES}: mattes of the cameras without masks"]
     if arguments.plates:
         lines.append(f"{capture / PLATES}: clean plates, transparent at pixels where no frame shows the background")

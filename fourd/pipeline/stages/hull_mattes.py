@@ -18,7 +18,6 @@ from fourd.pipeline.stages.mattes import MatteFiles
 from fourd.pipeline.stages.silhouettes import write_silhouettes
 from fourd.recording.capture import open_capture
 from fourd.recording.capture.layout import parse_frame_range, refuse_symlinks
-from fourd.recording.capture.pictures.listing import masked_cameras
 from fourd.recording.matting.output import MatteOutput
 from fourd.recording.matting.selection import Selection
 
@@ -43,15 +42,6 @@ class HullMatteSettings:
     given: tuple[str, ...]
     missing: tuple[str, ...]
     frames: str | None
-
-
-def hull_matte_settings(
-    capture: Path, names: Sequence[str], test_views: Sequence[str], frames: str | None
-) -> HullMatteSettings:
-    """Return which of the cameras ``names`` have masks of the user, and which need mattes."""
-    masked = set(masked_cameras(capture))
-    given = tuple(name for name in names if name in masked and name not in test_views)
-    return HullMatteSettings(given, tuple(name for name in names if name not in masked), frames)
 
 
 def hull_mattes_stage(capture: Path, settings: HullMatteSettings) -> Stage[MatteFiles, HullMatteSettings]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
+from fourd.pipeline.workload import Workload
 from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
 from fourd.recording.importing.detection import CALIBRATION_FORMATS, pick_format
 from fourd.recording.importing.given_calibration import VIDEOS_FORMAT
@@ -40,7 +41,12 @@ def import_stage(source: Path, capture: Path, options: ImportOptions) -> Stage[I
         inputs=tuple(inputs),
         outputs=(capture,),
         leftovers=(Leftovers(capture),),
+        expected_s=_expected_s,
     )
+
+
+def _expected_s(options: ImportOptions, workload: Workload) -> float:
+    return workload.matching_s()
 
 
 def run_import(files: ImportFiles, options: ImportOptions, context: Context) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from fourd.base.errors import MAX_REASON, UserError, one_line
 from fourd.base.files import resolved
 from fourd.base.formats.ply import read_ply
 from fourd.pipeline.stage import Context, Leftovers, Stage
+from fourd.pipeline.workload import Workload
 from fourd.reconstruction.background.contraction import contraction_around
 from fourd.reconstruction.carving import read_bounds
 from fourd.reconstruction.training.cameras.measured_colours import corrects_colours, read_measured_colours
@@ -27,6 +29,8 @@ from fourd.reconstruction.training.run import Run, RunConfig, SceneConfig, open_
 from fourd.reconstruction.training.run_layout import CHECKPOINTS, CONFIG_NAME, HULL, PREPARATION
 from fourd.rendering.ops.gpu import choose_device, cuda_unavailable_reason
 
+TRAIN_S_PER_STEP = 0.3
+"""Seconds per training step. Measured: 821 steps in 246 s with 20,000 points on 2 cores."""
 PREPARED_BY = ("adjust", "colours", "carve", "points", "background")
 """Names of the stages whose results training reads."""
 
@@ -53,7 +57,14 @@ def train_stage(files: TrainFiles, config: TrainConfig) -> Stage[TrainFiles, Tra
         after=PREPARED_BY,
         has_checkpoints=True,
         starts_run=True,
+        expected_s=expected_training_s,
     )
+
+
+def expected_training_s(config: TrainConfig, workload: Workload) -> float:
+    """Return the expected duration of training in seconds: that of the step or time budget, or infinity without one."""
+    steps_s = math.inf if config.max_steps is None else TRAIN_S_PER_STEP * config.max_steps
+    return min(steps_s, math.inf if config.max_seconds is None else config.max_seconds)
 
 
 def run_train(files: TrainFiles, config: TrainConfig, context: Context) -> None:

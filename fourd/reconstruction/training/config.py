@@ -40,9 +40,9 @@ class LossConfig:
     cameras."""
 
     def __post_init__(self) -> None:
-        for name in ("perceptual", "stand_in", "mask", "residual", "high_sh", "shadow", "closed"):
-            value = getattr(self, name)
-            require(value >= 0, f"{name}: expected 0 or more, got {value}")
+        for name, value in vars(self).items():
+            if name != "image":
+                require(value >= 0, f"{name}: expected 0 or more, got {value}")
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from fourd.base.cameras import Camera
 from fourd.base.errors import UserError
+from fourd.reconstruction.model.kplanes import KPlanes
 from fourd.reconstruction.training.cameras.refinement import Refinement
 from fourd.reconstruction.training.config import TrainConfig
 from fourd.reconstruction.training.distributed.process_group import ALONE, ProcessGroup
@@ -56,9 +57,7 @@ class Stepper:
         self.refinement = refinement
         self.group = group
         self.terms = scene.loss_terms(lpips, refinement)
-        named = [pair for model in scene.models.values() for pair in model.named_parameters()]
-        planes = [parameter for name, parameter in named if "planes" in name]
-        others = [parameter for name, parameter in named if "planes" not in name]
+        planes, others = parameters_by_kind(scene.models.values())
         self.optimizer = torch.optim.Adam(
             [
                 {"params": planes, "lr": config.rates.planes, "base": config.rates.planes},
@@ -159,6 +158,14 @@ class Stepper:
                 accumulate_gradient_magnitudes(each.cloud, each.rows, gradients["xyz"])
         self.update_cameras()
         self.scene.finish_step()
+
+
+def parameters_by_kind(models: Collection[nn.Module]) -> tuple[list[nn.Parameter], list[nn.Parameter]]:
+    """Return the parameters of all K-Planes in ``models``, and the other parameters, in the order of the models."""
+    parameters = [parameter for model in models for parameter in model.parameters()]
+    grids = [module for model in models for module in model.modules() if isinstance(module, KPlanes)]
+    planes = {id(parameter) for grid in grids for parameter in grid.parameters()}
+    return [each for each in parameters if id(each) in planes], [each for each in parameters if id(each) not in planes]
 
 
 def _silhouettes(camera: Camera, matte: Tensor, points: OptimizedPoints) -> list[tuple[tuple[Camera, ...], Tensor]]:

@@ -11,7 +11,7 @@ from PIL import Image, ImageFile, TiffImagePlugin, WebPImagePlugin
 
 from fourd.base.cameras import Camera
 from fourd.base.errors import UserError
-from fourd.pipeline.capture_graph import has_masks
+from fourd.pipeline.facts import has_masks
 from fourd.recording.capture import open_capture, write_calibration
 from fourd.recording.capture.check import check_capture
 from fourd.recording.capture.decoding import decode_rgb, picture_size, read_header

@@ -2,7 +2,7 @@
 
     python tools/measurements/cluster/cost_model.py --cameras 60 --frames 18000 --size 3840 2160 --nodes 16 --cores 16
 
-The coefficients of two stages, "import" and "mattes", are constants in fourd.pipeline.plan. All other coefficients were
+The coefficients of two stages, "import" and "mattes", are constants of fourd.pipeline. All other coefficients were
 measured with measure_costs.py and are stored in costs.json. Coefficients that are times are CPU seconds of one core of
 the machine on which they were measured. Use --speed for other machines: if their cores are twice as fast, pass
 --speed 2. Use --price to pass the hourly price of a node.
@@ -16,7 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.pipeline.plan import IMPORT_S_PER_MP, MATTE_S_PER_MP, SAMPLED_FRAMES
+from fourd.pipeline.stages.mattes import MATTE_S_PER_MP
+from fourd.pipeline.workload import MATCH_S_PER_MP, SAMPLED_FRAMES
 from fourd.reconstruction.model.config import ModelConfig
 from fourd.reconstruction.training.config import SegmentConfig, TrainConfig
 from fourd.reconstruction.training.segments.plan import SegmentPlan
@@ -183,7 +184,7 @@ def predict(costs: Costs, capture: Capture, machines: Machines) -> tuple[StageCo
     sampled_mp = min(SAMPLED_FRAMES, capture.frames) * capture.cameras * capture.image_mp
     if capture.has_videos:
         # No bytes are written, because an imported capture contains only links to the videos.
-        add("import", IMPORT_S_PER_MP * sampled_mp, 1, videos, 0)
+        add("import", MATCH_S_PER_MP * sampled_mp, 1, videos, 0)
     if not capture.has_mattes:
         add("mattes", MATTE_S_PER_MP * whole_mp, machines.node_cores, videos, mattes)
     carving = images * costs.carve_s_per_image + capture.frame_points * costs.carve_s_per_point

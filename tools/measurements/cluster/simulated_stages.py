@@ -19,6 +19,7 @@ import numpy as np
 
 from fourd.base.processes import locked_folder
 from fourd.pipeline.capture_graph import stages_to_capture
+from fourd.pipeline.facts import MaskFacts
 from fourd.pipeline.graph import RunRequest, stages_to_scene
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Stage
@@ -100,7 +101,10 @@ class Simulation:
         request = RunRequest(self._capture, self.folder / "run", train)
         imported = stages_to_capture(self.folder / "videos", self._capture, ImportOptions())
         checked = (check_stage(self._capture), repair_stage(self._capture, self.folder / "repaired"))
-        scene = stages_to_scene(request, MatteSettings(), self.folder / "scene.4dv")
+        numbers = range(self.frames)
+        scene = stages_to_scene(
+            request, MaskFacts.read(self._capture), MatteSettings(), self.folder / "scene.4dv", numbers
+        )
         before: list[str] = []
         return [self._simulated(stages, before) for stages in (imported, checked, scene)]
 

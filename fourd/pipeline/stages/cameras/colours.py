@@ -9,6 +9,7 @@ import numpy as np
 
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
+from fourd.pipeline.workload import Workload
 from fourd.reconstruction.training.cameras.measured_colours import MeasuredColours, write_measured_colours
 from fourd.reconstruction.training.cameras.selection import DataSelection, open_run_views
 from fourd.reconstruction.training.config import TrainConfig
@@ -48,7 +49,12 @@ def colours_stage(capture: Path, run: Path, selection: DataSelection) -> Stage[C
         selection,
         inputs=(Artefact(capture, INPUT_PATTERNS),),
         outputs=(run / COLOURS,),
+        expected_s=_expected_s,
     )
+
+
+def _expected_s(selection: DataSelection, workload: Workload) -> float:
+    return workload.matching_s(FRAMES)
 
 
 def run_colours(files: ColourFiles, selection: DataSelection, context: Context) -> None:

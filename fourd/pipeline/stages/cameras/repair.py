@@ -16,6 +16,7 @@ from fourd.base.files import write_text_atomically
 from fourd.base.limits import read_json
 from fourd.pipeline.stage import Artefact, Context, Leftovers, NoSettings, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
+from fourd.pipeline.workload import Workload
 from fourd.recording.calibration.adjustment.repair import Repair, repair_cameras
 from fourd.recording.calibration.checks.agreement import CaptureMatches, assess_agreement, is_disagreeing, match_capture
 from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, write_calibration
@@ -49,7 +50,12 @@ def repair_stage(capture: Path, repaired: Path) -> Stage[RepairFiles, NoSettings
         inputs=(Artefact(capture, INPUT_PATTERNS),),
         outputs=(repaired / RESULT,),
         leftovers=(Leftovers(repaired),),
+        expected_s=_expected_s,
     )
+
+
+def _expected_s(settings: NoSettings, workload: Workload) -> float:
+    return workload.matching_s()
 
 
 def repaired_capture(capture: Path, repaired: Path) -> Path:
