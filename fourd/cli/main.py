@@ -13,7 +13,7 @@ from pathlib import Path
 
 from fourd.base.errors import UserError
 from fourd.base.limits import printable
-from fourd.base.processes import handle_termination
+from fourd.base.processes import ReceivedSignals, handle_termination
 from fourd.base.processes.torchrun import rank_count
 from fourd.base.progress import Terminal
 from fourd.cli.usage import one_line_of_usage
@@ -133,7 +133,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         try:
-            return _report_errors(words)
+            with ReceivedSignals() as signals:
+                return _report_interrupts(words, signals)
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
@@ -172,6 +173,20 @@ def _reader_is_gone() -> bool:
     # to the null device.
     os.dup2(os.open(os.devnull, os.O_WRONLY), output)
     return True
+
+
+def _report_interrupts(words: list[str], signals: ReceivedSignals) -> int:
+    """Run a command, and report Ctrl-C as one line. An unexpected error after Ctrl-C is the interrupt that C++ code has
+    turned into an error of its own."""
+    try:
+        return _report_errors(words)
+    except KeyboardInterrupt:
+        pass
+    except Exception:
+        if not signals.any():
+            raise
+    Terminal(stderr=True).print(f"fourd {words[0]}: interrupted; finished results are kept")
+    return 130
 
 
 def _report_errors(words: list[str]) -> int:
@@ -216,9 +231,6 @@ def _report_errors(words: list[str]) -> int:
         reason = (error.strerror or "").lower()
         got = f"expected a readable and writable path, got '{reason}'; free disk space or use another folder"
         return _fail(words[0], f"{error.filename or 'the disk'}: {got}")
-    except KeyboardInterrupt:
-        Terminal(stderr=True).print(f"fourd {words[0]}: interrupted; finished results are kept")
-        return 130
 
 
 def _is_in_system_folder(error: OSError) -> bool:

@@ -8,6 +8,9 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
+from fourd.cli.main import main
 from fourd.reconstruction.training.checkpoints import checkpoint_files
 
 DEADLINE_SECONDS = 200
@@ -30,3 +33,31 @@ def test_training_saves_a_checkpoint_before_it_ends(ball_capture: Path, tmp_path
     assert process.returncode == 130
     assert errors == "fourd train: interrupted; finished results are kept\n"
     assert [int(path.stem) >= 10 for path in checkpoint_files(run / "checkpoints")] == [True]
+
+
+def test_an_interrupt_that_became_another_error_is_reported_as_an_interrupt(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches a traceback after Ctrl-C: torch's C++ code replaces KeyboardInterrupt by a ValueError."""
+
+    def interrupted(command: str, words: list[str]) -> int:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ValueError("could not determine the shape of object type 'torch.storage.UntypedStorage'") from None
+        return 0
+
+    monkeypatch.setattr("fourd.cli.main._run", interrupted)
+    assert main(["bake"]) == 130
+    assert capsys.readouterr().err == "fourd bake: interrupted; finished results are kept\n"
+
+
+def test_an_error_without_an_interrupt_is_not_called_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a bug of fourd that is reported as an interrupt, because an earlier command was interrupted."""
+
+    def fails(command: str, words: list[str]) -> int:
+        raise ValueError("a bug")
+
+    monkeypatch.setattr("fourd.cli.main._run", fails)
+    with pytest.raises(ValueError, match="a bug"):
+        main(["bake"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import socket
 import threading
 from types import FrameType, TracebackType
 
@@ -50,3 +51,38 @@ class DeferredInterrupt:
         if self.is_pending:
             raise KeyboardInterrupt
         self.is_pending = True
+
+
+class ReceivedSignals:
+    """A context manager that knows whether one of SIGNALS arrived inside the ``with`` block, whatever became of it.
+
+    The KeyboardInterrupt that a signal raises can be lost: C++ code that calls Python, for example torch's, replaces it
+    by an error of its own. Outside the main thread, no signal is noticed.
+    """
+
+    def __enter__(self) -> ReceivedSignals:
+        self._is_main = threading.current_thread() is threading.main_thread()
+        if self._is_main:
+            self._reading, self._writing = socket.socketpair()
+            for end in (self._reading, self._writing):
+                end.setblocking(False)
+            self._before = signal.set_wakeup_fd(self._writing.fileno(), warn_on_full_buffer=False)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._is_main:
+            signal.set_wakeup_fd(self._before)
+            self._reading.close()
+            self._writing.close()
+
+    def any(self) -> bool:
+        """Return whether a signal has arrived since the last call."""
+        if not self._is_main:
+            return False
+        try:
+            received = self._reading.recv(4096)
+        except BlockingIOError:
+            return False
+        return any(number in received for number in SIGNALS)
