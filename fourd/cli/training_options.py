@@ -172,6 +172,10 @@ def print_summary(summary: RunSummary, console: Console) -> None:
     """Print the quality of a run on the console, and the warnings on stderr."""
     for line in summary.lines:
         console.print(line, soft_wrap=True, highlight=False)
+    if summary.decisions:
+        console.print("decided:", soft_wrap=True)
+    for line in summary.decisions:
+        console.print(f"  {line}", soft_wrap=True, highlight=False, markup=False)
     for line in summary.warnings:
         Terminal(stderr=True).print(Text("warning: ", "yellow").append(line, "default"), soft_wrap=True)
 

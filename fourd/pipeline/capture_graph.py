@@ -15,7 +15,20 @@ from fourd.pipeline.stages.import_ import import_stage
 from fourd.pipeline.stages.mattes import MatteStageSettings, mattes_stage
 from fourd.pipeline.stages.plates import capture_plates_stage
 from fourd.recording.capture.layout import select_views
+from fourd.recording.importing.detection import pick_format
+from fourd.recording.importing.given_calibration import VIDEOS_FORMAT
 from fourd.recording.importing.importer import ImportOptions
+
+
+def lacks_calibration(source: Path, options: ImportOptions) -> bool:
+    """Return whether a source consists of videos or images for which neither the source nor the user has a calibration.
+
+    Raises:
+        UserError: if the source has no known format.
+    """
+    if is_usable(source) or options.calibration is not None:
+        return False
+    return pick_format(None, source).name == VIDEOS_FORMAT
 
 
 def stages_to_capture(source: Path, imported: Path, options: ImportOptions) -> tuple[AnyStage, ...]:

@@ -128,6 +128,7 @@ def stages_to_scene(
     scene: Path,
     numbers: Sequence[int] = (),
     *,
+    bake: BakeSettings | None = None,
     from_hull: bool = True,
 ) -> tuple[AnyStage, ...]:
     """Return the stages that make the scene file ``scene`` from a capture that was already checked.
@@ -138,6 +139,7 @@ def stages_to_scene(
         mattes: the settings of the mattes, or None if the capture already has its mattes.
         scene: the scene file.
         numbers: the numbers of the run's frames, which only a run with segments needs.
+        bake: settings of the scene file, or None for the default.
         from_hull: whether the mattes of cameras without masks are made from the masks of the other cameras.
     """
     train = request.train
@@ -152,5 +154,5 @@ def stages_to_scene(
     prepared = stages_to_first_points(request, plates=not plates)
     trained = training_stages(TrainFiles(request.capture, request.run, request.lpips_weights), train, numbers)
     names = tuple(stage.name for stage in trained)
-    bake = bake_stage(BakeFiles(request.run, scene), BakeSettings(), request.capture, names)
-    return (*made, *prepared, *trained, bake)
+    files = BakeFiles(request.run, scene)
+    return (*made, *prepared, *trained, bake_stage(files, bake or BakeSettings(), request.capture, names))

@@ -13,8 +13,11 @@ from fourd.pipeline.stages.summary import RunSummary
 from fourd.reconstruction.training.cameras.selection import with_test_split
 from fourd.reconstruction.training.config import TrainConfig
 from fourd.reconstruction.training.run import Run, open_run
+from fourd.recording.importing.importer import ImportOptions
 from fourd.recording.matting.sequence import MatteSettings
 from fourd.rendering.ops.gpu import DeviceName
+from fourd.scene.files.encoding import Tier
+from fourd.scene.packing.report import PackSettings
 
 
 def make(
@@ -23,6 +26,8 @@ def make(
     config: TrainConfig | None = None,
     *,
     mattes: MatteSettings | None = None,
+    imports: ImportOptions | None = None,
+    tier: Tier | None = "full",
     workers: int = 1,
     device: DeviceName = "auto",
     quiet: bool = False,
@@ -34,6 +39,9 @@ def make(
         out: the .4dv file to write. Intermediate results are kept beside it in a folder with the suffix .work.
         config: the settings of training, among them the cameras, the frames and the budget. If None, the defaults.
         mattes: the settings of matting. If None, the defaults.
+        imports: options of the import, among them a calibration. If None, time offsets between videos are estimated,
+            and those of high confidence are applied.
+        tier: how the scene file is compressed; see ``fourd pack --help``. If None, it contains plain arrays.
         workers: number of processes. With more than one, the caller needs ``if __name__ == "__main__":``, because each
             process imports the main module.
         device: device that trains. "auto" is a GPU if torch and the kernels of fourd can use one, otherwise the CPU.
@@ -45,7 +53,15 @@ def make(
         UserError: if the input is invalid, or the folder of intermediate results belongs to something else.
     """
     context = Context(Terminal(quiet=quiet), workers, device=device)
-    return make_scene(Path(source), Path(out), config or TrainConfig(), mattes or MatteSettings(), context)
+    return make_scene(
+        Path(source),
+        Path(out),
+        config or TrainConfig(),
+        mattes or MatteSettings(),
+        context,
+        imports=imports or ImportOptions(sync_if_possible=True),
+        pack=None if tier is None else PackSettings(tier),
+    )
 
 
 def train(

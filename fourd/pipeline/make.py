@@ -19,10 +19,12 @@ from fourd.pipeline.fetch import fetch_stage, fetched_path
 from fourd.pipeline.graph import RunRequest, stages_to_first_points
 from fourd.pipeline.plan import describe_plan
 from fourd.pipeline.runner import Execute, Runner, run_here
-from fourd.pipeline.scene_graph import SceneStages
+from fourd.pipeline.scene_graph import CALIBRATION, CAPTURE, REPAIRED, SceneStages
 from fourd.pipeline.segments import selected_frames
 from fourd.pipeline.stage import Context
+from fourd.pipeline.stages.bake import BakeSettings
 from fourd.pipeline.stages.cameras.repair import repaired_capture
+from fourd.pipeline.stages.decisions import describe_decisions
 from fourd.pipeline.stages.summary import RunSummary, summarize_run
 from fourd.pipeline.stages.train import start_run
 from fourd.pipeline.still_scenes import stands_still, still_config
@@ -34,10 +36,12 @@ from fourd.reconstruction.training.cameras.selection import with_test_split
 from fourd.reconstruction.training.config import TrainConfig
 from fourd.reconstruction.training.run import Run
 from fourd.reconstruction.training.run_layout import CONFIG_NAME, PREPARATION, SOURCE
+from fourd.recording.board_calibration.search import BoardRecording, find_board_recording
 from fourd.recording.capture.frame_rate import set_rate
 from fourd.recording.capture.layout import DERIVED, MATTES
 from fourd.recording.importing.importer import ImportOptions
 from fourd.recording.matting.sequence import MatteSettings, chosen_method, forget_choice
+from fourd.scene.packing.report import PackSettings
 
 RECORD = "stages.json"
 SCENE = "scene.4dv"
@@ -70,6 +74,9 @@ class WrittenFiles:
     choice: MatteChoice
     context: Context
     held: ExitStack
+
+    def board(self, source: Path) -> BoardRecording | None:
+        return find_board_recording(source, self.context.log)
 
     def held_out(self, train: TrainConfig, capture: Path) -> TrainConfig:
         return with_test_split(train, capture, self.context.log)
@@ -113,6 +120,7 @@ class SceneRequest:
     run: RunRequest
     mattes: MatteChoice
     imports: ImportOptions
+    pack: PackSettings | None
     context: Context
 
 
@@ -126,6 +134,7 @@ def make_scene(
     points_from: Path | None = None,
     lpips_weights: Path | None = None,
     imports: ImportOptions | None = None,
+    pack: PackSettings | None = None,
     accept_mattes: bool = False,
     keep_chosen_mattes: bool = False,
     cluster: Cluster | None = None,
@@ -149,6 +158,7 @@ def make_scene(
         points_from: folder with the user's points as FRAME.ply files, which replace the carved points.
         lpips_weights: the weights of LPIPS; see :func:`~fourd.reconstruction.training.losses.lpips.load_lpips`.
         imports: options of the import. If ``source`` is a capture, their frame rate, if any, is stored in it.
+        pack: how the scene file is compressed, or None for plain arrays.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
         keep_chosen_mattes: whether to keep mattes whose method the user chose with ``fourd matte``.
         cluster: the cluster on which the stages run. If None, the stages run in this process.
@@ -165,7 +175,7 @@ def make_scene(
     require_suffix(out, (".4dv",), "a scene")
     run = RunRequest(Path(), Path(), train, points_from, lpips_weights, accept_mattes=accept_mattes)
     choice = MatteChoice(mattes, keep_chosen_mattes)
-    request = SceneRequest(source, out, run, choice, imports or ImportOptions(), context)
+    request = SceneRequest(source, out, run, choice, imports or ImportOptions(), pack, context)
     execute = run_here if cluster is None else cluster.execute
     if isinstance(work, StorageUrl):
         return _make_stored(request, work, execute, is_parallel=cluster is not None, force=force)
@@ -175,7 +185,7 @@ def make_scene(
     with locked_folder(folder):
         runner = Runner(context, folder / RECORD, execute, is_parallel=cluster is not None, force=force)
         _make_in_folder(request, folder, runner)
-        return summarize_run(folder / RUN)
+        return _summarize(folder)
 
 
 def _make_in_folder(request: SceneRequest, folder: Path, runner: Runner) -> None:
@@ -223,7 +233,7 @@ def _make_stored(
         else:
             remove_unfinished_file(out)
             _copy_changed(scene, out)
-        return summarize_run(root / RUN)
+        return _summarize(root)
 
 
 def _absolute(path: Path | None) -> Path | None:
@@ -254,7 +264,17 @@ def _run_graph(request: SceneRequest, run: RunRequest, work: Path, out: Path, ru
     """Run the stages of :func:`make_scene` in the locked folder for intermediate results. ``run.capture`` is the path
     of the input, which may need an import. ``out`` is a local file."""
     given, options, context = run.capture, request.imports, request.context
-    stages = SceneStages(given, run, options, work, out, from_hull=request.mattes.keep_chosen)
+    stages = SceneStages(
+        given,
+        run,
+        options,
+        work,
+        out,
+        BakeSettings(pack=request.pack),
+        # In a store, the key of the import must not depend on the path of this machine's copy.
+        finds_board=not runner.is_stored,
+        from_hull=request.mattes.keep_chosen,
+    )
     remove_unfinished_file(out)
     context.log(describe_plan(stages, context.workers))
     if options.fps is not None and is_usable(given):
@@ -265,6 +285,12 @@ def _run_graph(request: SceneRequest, run: RunRequest, work: Path, out: Path, ru
     with ExitStack() as held:
         for group in stages.groups(WrittenFiles(request.mattes, context, held)):
             runner.run(group)
+
+
+def _summarize(work: Path) -> RunSummary:
+    """Return the quality of the run in the folder for intermediate results, and what was decided on the way."""
+    decisions = describe_decisions(work / CALIBRATION, work / CAPTURE, work / REPAIRED, work / RUN)
+    return replace(summarize_run(work / RUN), decisions=decisions)
 
 
 def _work_folder(out: Location, given: Path | None) -> Path:

@@ -17,6 +17,7 @@ from fourd.pipeline.scene_graph import SceneStages
 from fourd.pipeline.segments import DIVIDE
 from fourd.pipeline.workload import Workload
 from fourd.reconstruction.training.config import TrainConfig
+from fourd.recording.board_calibration.search import BoardRecording, find_board_recording
 from fourd.recording.capture.decoding import picture_size
 from fourd.recording.capture.layout import parse_frame_range
 from fourd.recording.capture.streams.container import frame_count, open_container, video_stream
@@ -72,6 +73,9 @@ class Forecast:
 
     given: MaskFacts
     frames: int | None
+
+    def board(self, source: Path) -> BoardRecording | None:
+        return find_board_recording(source, lambda line: None)
 
     def held_out(self, train: TrainConfig, capture: Path) -> TrainConfig:
         return train

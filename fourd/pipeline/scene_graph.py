@@ -7,21 +7,26 @@ the earlier stages have written, and the plan that it prints first looks only at
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
-from fourd.pipeline.capture_graph import stages_to_capture
+from fourd.base.files import resolved
+from fourd.pipeline.capture_graph import lacks_calibration, stages_to_capture
 from fourd.pipeline.facts import MaskFacts
 from fourd.pipeline.graph import RunRequest, stages_to_scene
 from fourd.pipeline.runner import AnyStage
+from fourd.pipeline.stages.bake import BakeSettings
+from fourd.pipeline.stages.cameras.board import board_stage
 from fourd.pipeline.stages.cameras.repair import repair_stage
 from fourd.pipeline.stages.check import check_stage
 from fourd.pipeline.stages.still import still_stage
 from fourd.reconstruction.training.config import TrainConfig
+from fourd.recording.board_calibration.search import BoardRecording
 from fourd.recording.importing.importer import ImportOptions
 from fourd.recording.matting.sequence import MatteSettings
 
+CALIBRATION = "calibration"
 CAPTURE = "capture"
 REPAIRED = "repaired"
 STILL = "still"
@@ -29,6 +34,9 @@ STILL = "still"
 
 class Look(Protocol):
     """Tells what the stages so far have found."""
+
+    def board(self, source: Path) -> BoardRecording | None:
+        """Return the recording of a calibration board that belongs to videos without a calibration, or None."""
 
     def held_out(self, train: TrainConfig, capture: Path) -> TrainConfig:
         """Return the training config with the names of the held-out cameras."""
@@ -60,6 +68,8 @@ class SceneStages:
         imports: options of the import.
         work: the folder for intermediate results.
         scene: the scene file.
+        bake: settings of the scene file.
+        finds_board: whether a recording of a calibration board beside the videos is used.
         from_hull: whether the masks of some cameras give the others their mattes.
     """
 
@@ -68,12 +78,18 @@ class SceneStages:
     imports: ImportOptions
     work: Path
     scene: Path
+    bake: BakeSettings = field(default_factory=BakeSettings)
+    finds_board: bool = True
     from_hull: bool = True
 
     def groups(self, look: Look) -> Iterator[tuple[AnyStage, ...]]:
         """Yield the stages in groups. Each group must have run before the next is requested."""
-        train, capture = self.run.train, self.source
-        to_capture = stages_to_capture(capture, self.work / CAPTURE, self.imports)
+        train, capture, imports = self.run.train, self.source, self.imports
+        board = look.board(capture) if self.finds_board and lacks_calibration(capture, imports) else None
+        if board is not None:
+            imports = replace(imports, calibration=str(resolved(self.work / CALIBRATION)))
+            yield (board_stage(board, self.work / CALIBRATION),)
+        to_capture = stages_to_capture(capture, self.work / CAPTURE, imports)
         if to_capture:
             capture = self.work / CAPTURE
             yield to_capture
@@ -87,4 +103,4 @@ class SceneStages:
         mattes = look.mattes(capture, masks, train)
         run = replace(self.run, capture=capture, train=train, still=still is not None)
         numbers = () if train.segments.frames is None else look.frame_numbers(capture, train)
-        yield stages_to_scene(run, masks, mattes, self.scene, numbers, from_hull=self.from_hull)
+        yield stages_to_scene(run, masks, mattes, self.scene, numbers, bake=self.bake, from_hull=self.from_hull)

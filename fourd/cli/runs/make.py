@@ -6,7 +6,7 @@ from __future__ import annotations
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -16,8 +16,9 @@ from fourd.base.progress import Terminal
 from fourd.base.storage import Location
 from fourd.cli.captures.matte import MatteOptions
 from fourd.cli.locations import PATH_OR_URL, OutLocation
-from fourd.cli.options import FramesPerSecond, Workers, option, worker_count
-from fourd.cli.outputs import READS, WRITES
+from fourd.cli.options import TIER_HELP, FramesPerSecond, Workers, describe, option, worker_count
+from fourd.cli.outputs import READS, WRITES, WRITES_WHOLE_FOLDER
+from fourd.cli.scenes.web import write_page
 from fourd.cli.training_options import TrainingOptions, print_summary
 from fourd.pipeline.cluster import join_cluster
 from fourd.pipeline.make import make_scene
@@ -26,6 +27,8 @@ from fourd.reconstruction.training.losses.lpips import load_lpips
 from fourd.recording.capture.frame_rate import check_rate
 from fourd.recording.importing.importer import ImportOptions
 from fourd.rendering.ops.gpu import choose_device
+from fourd.scene.files.encoding import Tier
+from fourd.scene.packing.report import PackSettings
 
 DEFAULT_SECONDS = 1800.0
 RAY_HELP = (
@@ -34,10 +37,12 @@ RAY_HELP = (
     "Needs `pip install 'fourd[cluster]'`."
 )
 SOURCE_HELP = (
-    "A capture, or any input of fourd import, such as a folder of videos or a session with a calibration folder. To "
-    "set time offsets or the scale, run fourd import first. The input can also be at a URL such as "
-    "s3://bucket/videos."
+    "A capture, or any input of fourd import, such as a folder of videos or a session with a calibration folder. "
+    "Videos without a calibration are calibrated from the recording of a calibration board beside them (board.toml and "
+    "the folder board/), or else from their own images. To set time offsets or the scale by hand, run fourd import "
+    "first. The input can also be at a URL such as s3://bucket/videos."
 )
+WEB_HELP = "Folder to write, with a web page that plays the scene. `fourd serve FOLDER` shows it on this machine."
 WORK_DEFAULT = "scene.work beside scene.4dv"
 WORK_HELP = (
     "Folder for intermediate results, on a disk or on mounted storage, or a URL such as s3://bucket/work. With a URL, "
@@ -65,6 +70,19 @@ class Arguments:
     mattes: MatteOptions
     calibration: Annotated[Path | None, READS, option("FOLDER", "none", CALIBRATION_HELP)] = None
     fps: FramesPerSecond = None
+    sync: Annotated[
+        Literal["auto", "none"],
+        describe(
+            "Time offsets between videos.",
+            "auto: estimate them from sound, or else from motion, and apply those of high confidence. none: the videos "
+            "are synchronised.",
+        ),
+    ] = "auto"
+    tier: Annotated[
+        Literal[Tier, "none"],
+        describe("Compression of the scene file.", *TIER_HELP, "none: plain arrays, several times larger."),
+    ] = "full"
+    web: Annotated[Path | None, WRITES_WHOLE_FOLDER, option("FOLDER", "none", WEB_HELP)] = None
     workers: Workers = None
     work: Annotated[Location | None, WRITES, PATH_OR_URL, option("FOLDER|URL", WORK_DEFAULT, WORK_HELP)] = None
     force: bool = False
@@ -88,6 +106,10 @@ def run(arguments: Arguments) -> None:
     # Ray chooses nodes by their CPU cores only, so several segments (ranges of frames) could share the GPU of a node.
     if arguments.ray is not None and options.device == "cuda":
         raise UserError("--device, --ray: expected --device cpu or auto with --ray, got cuda; nodes use their CPUs")
+    if arguments.web is not None and not isinstance(arguments.out, Path):
+        raise UserError(
+            f"--web: expected -o as a file on this machine, got {arguments.out}; run fourd web on the scene"
+        )
     choose_device(options.device)  # A missing GPU is reported before any stage runs.
     given = None if arguments.calibration is None else str(resolved(arguments.calibration))
     with nullcontext() if arguments.ray is None else join_cluster(arguments.ray, arguments.ray_cores) as cluster:
@@ -99,7 +121,8 @@ def run(arguments: Arguments) -> None:
             Context(console, worker_count(arguments.workers), device=options.device),
             points_from=options.points_from,
             lpips_weights=options.lpips_weights,
-            imports=ImportOptions(calibration=given, fps=arguments.fps),
+            imports=ImportOptions(calibration=given, fps=arguments.fps, sync_if_possible=arguments.sync == "auto"),
+            pack=None if arguments.tier == "none" else PackSettings(arguments.tier),
             accept_mattes=options.accept_mattes,
             keep_chosen_mattes=not arguments.mattes.is_given,
             cluster=cluster,
@@ -107,5 +130,7 @@ def run(arguments: Arguments) -> None:
             force=arguments.force,
         )
     print_summary(summary, console)
+    if arguments.web is not None and isinstance(arguments.out, Path):
+        write_page(arguments.out, arguments.web, console)
     command = command_line("fourd", "render", arguments.out, "--path", "orbit", "--out", "orbit.mp4")
     console.print(f"{arguments.out}: written; next: {command}", soft_wrap=True)

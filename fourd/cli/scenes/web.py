@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
+from rich.console import Console
 
 from fourd.base.errors import UserError, command_line
 from fourd.base.files import remove_unfinished_folder
@@ -17,6 +19,7 @@ from fourd.cli.outputs import WRITES_WHOLE_FOLDER
 from fourd.scene.container import SceneReader
 from fourd.scene.files.encoding import Tier
 from fourd.scene.packing.rate import Choice, choose_tier
+from fourd.scene.styles import Style
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,6 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Write the folder and print its size."""
-    from fourd.viewer.publish.site import write_site
     from fourd.viewer.publish.styles import load_styles
 
     check_mbps(arguments.max_mbps)
@@ -52,20 +54,47 @@ def run(arguments: Arguments) -> None:
         choice = _choose(arguments.scene, arguments.max_mbps, track)
         tier, level = choice.tier, choice.level
         console.print(f"--max-mbps {arguments.max_mbps:g}: {choice}", soft_wrap=True)
-    with locked_folder(arguments.out):
-        remove_unfinished_folder(arguments.out)
+    write_page(
+        arguments.scene,
+        arguments.out,
+        console,
+        tier,
+        arguments.title,
+        level=level,
+        styles=styles,
+        has_normals=arguments.normals,
+    )
+
+
+def write_page(
+    scene: Path,
+    out: Path,
+    console: Console,
+    tier: Tier = "stream",
+    title: str | None = None,
+    *,
+    level: int | None = None,
+    styles: Mapping[str, Style] | None = None,
+    has_normals: bool = True,
+) -> None:
+    """Write the folder of a page that plays ``scene``, and print its size. The arguments are those of
+    :func:`fourd.viewer.publish.site.write_site`."""
+    from fourd.viewer.publish.site import write_site
+
+    with locked_folder(out):
+        remove_unfinished_folder(out)
         write_site(
-            arguments.scene,
-            arguments.out,
+            scene,
+            out,
             tier,
-            arguments.title,
-            track,
+            title,
+            Tracker(console).track,
             level=level,
             styles=styles,
-            has_normals=arguments.normals,
+            has_normals=has_normals,
         )
-    size = sum(path.stat().st_size for path in arguments.out.rglob("*") if path.is_file()) / 1e6
-    line = f"{arguments.out}: {size:.1f} MB; next: {command_line('fourd', 'serve', arguments.out)}"
+    size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file()) / 1e6
+    line = f"{out}: {size:.1f} MB; next: {command_line('fourd', 'serve', out)}"
     console.print(line, soft_wrap=True, markup=False)
 
 

@@ -20,10 +20,12 @@ class RunSummary:
     Attributes:
         lines: the measured quality, one line for each measurement.
         warnings: what is wrong, and what to do, one line each.
+        decisions: what ``fourd make`` decided by itself, and the option that decides otherwise, one line each.
     """
 
     lines: tuple[str, ...]
     warnings: tuple[str, ...]
+    decisions: tuple[str, ...] = ()
 
 
 def summarize_run(run: Path) -> RunSummary:

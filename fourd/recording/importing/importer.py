@@ -44,6 +44,7 @@ from fourd.recording.importing.time_offsets import (
     applied_offsets,
     correct_sound_travel,
     describe_offsets,
+    estimate_if_possible,
     estimate_offsets_of,
 )
 from fourd.recording.importing.writer import ImportSettings, check_import, write_capture
@@ -68,6 +69,7 @@ class ImportOptions:
             video with the offset n, each event appears n frames later than in a video with the offset 0.
         sync: estimate the offsets without applying them.
         apply_sync: estimate the offsets and apply those with high confidence.
+        sync_if_possible: like ``apply_sync``, but videos whose offsets cannot be estimated are no error.
         fps: frame rate of images in 1/s, or None if it is not known.
         sync_by: method of the estimate: "sound", "motion" or "auto". "auto" uses sound if all videos have recorded the
             same sound, and motion otherwise.
@@ -91,6 +93,7 @@ class ImportOptions:
     offsets: dict[str, float] = field(default_factory=dict)
     sync: bool = False
     apply_sync: bool = False
+    sync_if_possible: bool = False
     sync_by: SyncMethod = "auto"
     sound_at: SoundPosition = "auto"
     fps: float | None = None
@@ -103,6 +106,11 @@ class ImportOptions:
     board: Board | None = None
     calibration: str | None = None
     pair_by: PairBy = "auto"
+
+    @property
+    def applies_estimate(self) -> bool:
+        """Whether estimated offsets of high confidence are applied."""
+        return self.apply_sync or self.sync_if_possible
 
 
 def import_source(
@@ -151,12 +159,12 @@ def import_source(
     remove_unfinished(out, deep=True)
     indices = _read_indices(imported, out, options, track)
     estimate = _estimate(imported, indices, out, options, log, track)
-    offsets = applied_offsets(estimate, options.offsets, options.apply_sync)
+    offsets = applied_offsets(estimate, options.offsets, options.applies_estimate)
     imported = _match_calibrations(imported, indices, options, log, track)
     imported = _calibrate(imported, indices, offsets, options, needs_calibration, log, warnings.append, track)
     if estimate is not None:
         estimate = _correct_estimate(estimate, imported, source_format, options, log)
-        offsets = applied_offsets(estimate, options.offsets, options.apply_sync)
+        offsets = applied_offsets(estimate, options.offsets, options.applies_estimate)
     check_unpacked(out, started, files, offsets, options.reduce)
     record = replace(record, files=files, offsets=offsets, unpacked=started.unpacked or options.unpack)
     write_record(out, record)
@@ -181,7 +189,7 @@ def _correct_estimate(
     if options.calibration is not None:
         is_metric |= is_metric_calibration(Path(options.calibration))
     corrected = correct_sound_travel(estimate, imported.cameras, options.sound_at, is_metric, log)
-    for line in describe_offsets(corrected, options.apply_sync) if corrected.method == "sound" else ():
+    for line in describe_offsets(corrected, options.applies_estimate) if corrected.method == "sound" else ():
         log(line)
     return corrected
 
@@ -223,11 +231,17 @@ def _estimate(
     imported: Imported, indices: Indices, out: Path, options: ImportOptions, log: Log, track: Track
 ) -> Estimate | None:
     """Estimate the offsets of the videos if an option requests it."""
-    if not (options.sync or options.apply_sync):
+    if options.sync_if_possible:
+        found = estimate_if_possible(imported.cameras, indices, out, log, track)
+        if found is None:
+            return None
+        estimate = found
+    elif options.sync or options.apply_sync:
+        estimate = estimate_offsets_of(imported.cameras, indices, out, options.sync_by, log, track)
+    else:
         return None
-    estimate = estimate_offsets_of(imported.cameras, indices, out, options.sync_by, log, track)
     # Offsets from sound are logged later, because correcting them for the sound's travel time needs calibrated cameras.
-    for line in describe_offsets(estimate, options.apply_sync) if estimate.method == "motion" else ():
+    for line in describe_offsets(estimate, options.applies_estimate) if estimate.method == "motion" else ():
         log(line)
     return estimate
 

@@ -100,6 +100,22 @@ def estimate_offsets_of(
     return Estimate("motion", frames, dict(zip(names, found.confidence, strict=True)), rate)
 
 
+def estimate_if_possible(
+    cameras: tuple[ImportedCamera, ...], indices: Mapping[str, VideoIndex], out: Path, log: Log, track: Track
+) -> Estimate | None:
+    """Estimate the delays of the cameras as :func:`estimate_offsets_of` does with the method "auto". If that is not
+    possible, for example because the cameras recorded images or the videos are short, log the reason and return
+    None."""
+    if len(video_files(cameras)) < len(cameras) or len(cameras) < 2:
+        return None
+    try:
+        return estimate_offsets_of(cameras, indices, out, "auto", log, track)
+    except UserError as error:
+        reason = str(error).removeprefix("--sync: ").split(";")[0]
+        log(f"time offsets between the videos are not estimated: {reason}")
+        return None
+
+
 def _from_sound(
     cameras: tuple[ImportedCamera, ...], indices: Mapping[str, VideoIndex], rate: float, track: Track
 ) -> Estimate:
