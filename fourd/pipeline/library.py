@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from fourd.base.progress import Terminal
-from fourd.pipeline.graph import RunRequest, stages_to_run
+from fourd.pipeline.graphs.run import RunRequest, stages_to_run
 from fourd.pipeline.make import make_scene, require_new_run
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context

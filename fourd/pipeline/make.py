@@ -16,10 +16,10 @@ from fourd.base.storage import Location, StorageUrl, check_writable, upload_chan
 from fourd.pipeline.cluster import Cluster
 from fourd.pipeline.facts import MaskFacts, is_usable
 from fourd.pipeline.fetch import fetch_stage, fetched_path
-from fourd.pipeline.graph import RunRequest, stages_to_first_points
-from fourd.pipeline.plan import describe_plan
+from fourd.pipeline.graphs.plan import describe_plan
+from fourd.pipeline.graphs.run import RunRequest, stages_to_first_points
+from fourd.pipeline.graphs.scene import CALIBRATION, CAPTURE, REPAIRED, SceneStages
 from fourd.pipeline.runner import Execute, Runner, run_here
-from fourd.pipeline.scene_graph import CALIBRATION, CAPTURE, REPAIRED, SceneStages
 from fourd.pipeline.segments import selected_frames
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.bake import BakeSettings
@@ -63,7 +63,7 @@ class MatteChoice:
 @dataclass(frozen=True)
 class WrittenFiles:
     """What the stages so far have found, read from the files that they have written; see
-    :class:`fourd.pipeline.scene_graph.Look`.
+    :class:`fourd.pipeline.graphs.scene.Look`.
 
     Attributes:
         choice: settings of the mattes.
@@ -143,11 +143,10 @@ def make_scene(
 ) -> RunSummary:
     """Run every stage from ``source`` to the scene file ``out``.
 
-    Intermediate results are kept in the folder ``work``. It contains the run (``run/``) and the record of the stages
-    (``stages.json``). ``work`` also contains the imported capture (``capture/``) if ``source`` needs an import, and the
-    corrected capture (``repaired/``) if the stage ``repair`` corrects the calibration. After a change of an input or a
-    setting, the next call repeats only the stages that depend on it. Interrupted stages resume. If other settings would
-    replace a trained run, it is kept as ``run.1`` and so on; if ``work`` is a URL, this is an error.
+    Intermediate results are kept in the folder ``work``: the run (``run/``), the record of the stages
+    (``stages.json``), and, if they are made, the imported capture (``capture/``) and the corrected one (``repaired/``).
+    After a change of an input or a setting, the next call repeats only the stages that depend on it. Interrupted stages
+    resume. A trained run that other settings would replace is kept as ``run.1`` and so on; in a store, this is an error.
 
     Args:
         source: a capture, or a source that ``fourd import`` can read. A URL is copied to ``work/source/``.

@@ -9,7 +9,7 @@ import pytest
 from fourd.base.errors import UserError
 from fourd.cli.main import main
 from fourd.cli.training_options import TrainingOptions
-from fourd.pipeline.graph import RunRequest
+from fourd.pipeline.graphs.run import RunRequest
 from fourd.reconstruction.training.config import TrainConfig
 
 

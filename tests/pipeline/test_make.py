@@ -16,7 +16,7 @@ from rich.console import Console
 from fourd.base.errors import UserError
 from fourd.base.formats.ply import write_ply
 from fourd.cli.main import main
-from fourd.pipeline.capture_graph import stages_to_capture
+from fourd.pipeline.graphs.capture import stages_to_capture
 from fourd.pipeline.make import create_run, make_scene
 from fourd.pipeline.stage import Context
 from fourd.reconstruction.training.config import RefineConfig, TrainConfig

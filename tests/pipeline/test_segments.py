@@ -17,7 +17,7 @@ from rich.console import Console
 
 from fourd.base.errors import UserError
 from fourd.cli.main import main
-from fourd.pipeline.graph import RunRequest, stages_to_run
+from fourd.pipeline.graphs.run import RunRequest, stages_to_run
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.segments import run_segment

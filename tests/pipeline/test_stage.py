@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fourd.pipeline.facts import MaskFacts
-from fourd.pipeline.graph import RunRequest, stages_to_scene
+from fourd.pipeline.graphs.run import RunRequest, stages_to_scene
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.points.carve import CarveStageSettings, carve_stage

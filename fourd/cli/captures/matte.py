@@ -14,8 +14,8 @@ from fourd.base.processes import locked_folder
 from fourd.base.progress import Terminal
 from fourd.cli.options import CapturePath, SelectionOptions, Workers, option, split_names, worker_count
 from fourd.cli.outputs import READS, require_distinct
-from fourd.pipeline.capture_graph import stages_to_mattes
 from fourd.pipeline.facts import MASKS, MaskFacts
+from fourd.pipeline.graphs.capture import stages_to_mattes
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.mattes import MatteStageSettings

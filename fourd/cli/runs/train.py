@@ -20,7 +20,7 @@ from fourd.cli.options import Workers, worker_count
 from fourd.cli.outputs import WRITES
 from fourd.cli.training_options import TrainingOptions, print_summary
 from fourd.pipeline.fetch import fetch_stage, fetched_path
-from fourd.pipeline.graph import RunRequest, stages_to_resume, stages_to_run
+from fourd.pipeline.graphs.run import RunRequest, stages_to_resume, stages_to_run
 from fourd.pipeline.make import require_new_run
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Context

@@ -45,7 +45,7 @@ VIDEO_FRAMES = 60
 STEPS = (20, 140)
 """Training stops at the first of these steps, is resumed, and ends at the second. The time of one step is computed from
 the CPU seconds of the two parts."""
-START = "import fourd.pipeline.graph"
+START = "import fourd.pipeline.graphs.run"
 """The imports that a stage's process runs before the stage starts its work."""
 
 

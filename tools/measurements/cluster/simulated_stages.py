@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from fourd.base.processes import locked_folder
-from fourd.pipeline.capture_graph import stages_to_capture
 from fourd.pipeline.facts import MaskFacts
-from fourd.pipeline.graph import RunRequest, stages_to_scene
+from fourd.pipeline.graphs.capture import stages_to_capture
+from fourd.pipeline.graphs.run import RunRequest, stages_to_scene
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Stage
 from fourd.pipeline.stages.cameras.repair import repair_stage

@@ -19,7 +19,7 @@ from fourd.pipeline.still_scenes import stands_still
 from fourd.recording.capture import open_capture
 from fourd.recording.matting.sequence import MatteSettings
 from fourd.scene.container import SceneReader
-from tests.pipeline.test_plan import planned
+from tests.pipeline.graphs.test_plan import planned
 from tests.training.small import SMALL, full_config, with_steps
 
 

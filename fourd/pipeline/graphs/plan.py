@@ -12,8 +12,8 @@ import av
 
 from fourd.base.errors import UserError
 from fourd.pipeline.facts import MaskFacts, is_usable
+from fourd.pipeline.graphs.scene import SceneStages
 from fourd.pipeline.runner import AnyStage
-from fourd.pipeline.scene_graph import SceneStages
 from fourd.pipeline.segments import DIVIDE
 from fourd.pipeline.workload import Workload
 from fourd.reconstruction.training.config import TrainConfig
@@ -64,7 +64,7 @@ def _durations(stages: Sequence[AnyStage], workload: Workload) -> list[tuple[str
 
 @dataclass(frozen=True)
 class Forecast:
-    """What the stages are expected to find, from the source alone; see :class:`fourd.pipeline.scene_graph.Look`.
+    """What the stages are expected to find, from the source alone; see :class:`fourd.pipeline.graphs.scene.Look`.
 
     Attributes:
         given: which cameras of the source have masks from the user.

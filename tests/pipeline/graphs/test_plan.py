@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from fourd.pipeline.graph import RunRequest
-from fourd.pipeline.plan import describe_plan
-from fourd.pipeline.scene_graph import SceneStages
+from fourd.pipeline.graphs.plan import describe_plan
+from fourd.pipeline.graphs.run import RunRequest
+from fourd.pipeline.graphs.scene import SceneStages
 from fourd.reconstruction.training.config import SegmentConfig, TrainConfig
 from fourd.recording.importing.importer import ImportOptions
 from tests.importing.test_layouts import pose2sim

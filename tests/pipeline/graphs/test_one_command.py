@@ -9,9 +9,9 @@ import pytest
 from fourd.base.errors import UserError
 from fourd.cli.main import main
 from fourd.pipeline.facts import MaskFacts
-from fourd.pipeline.graph import RunRequest
-from fourd.pipeline.plan import Forecast
-from fourd.pipeline.scene_graph import SceneStages
+from fourd.pipeline.graphs.plan import Forecast
+from fourd.pipeline.graphs.run import RunRequest
+from fourd.pipeline.graphs.scene import SceneStages
 from fourd.reconstruction.training.config import TrainConfig
 from fourd.recording.board_calibration.search import find_board_recording
 from fourd.recording.importing.detection import pick_format

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Protocol
 
 from fourd.base.files import resolved
-from fourd.pipeline.capture_graph import lacks_calibration, stages_to_capture
 from fourd.pipeline.facts import MaskFacts
-from fourd.pipeline.graph import RunRequest, stages_to_scene
+from fourd.pipeline.graphs.capture import lacks_calibration, stages_to_capture
+from fourd.pipeline.graphs.run import RunRequest, stages_to_scene
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stages.bake import BakeSettings
 from fourd.pipeline.stages.cameras.board import board_stage

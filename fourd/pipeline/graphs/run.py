@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.pipeline.capture_graph import stages_to_hull_mattes, stages_to_mattes
 from fourd.pipeline.facts import MaskFacts
+from fourd.pipeline.graphs.capture import stages_to_hull_mattes, stages_to_mattes
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.segments import divide_stage, segment_stages, selected_frames
 from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage

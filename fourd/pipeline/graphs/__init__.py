@@ -1,0 +1,1 @@
+"""The lists of stages: which stages an input needs, in which order."""
