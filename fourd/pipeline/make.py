@@ -146,7 +146,7 @@ def make_scene(
     Intermediate results are kept in the folder ``work``: the run (``run/``), the record of the stages
     (``stages.json``), and, if they are made, the imported capture (``capture/``) and the corrected one (``repaired/``).
     After a change of an input or a setting, the next call repeats only the stages that depend on it. Interrupted stages
-    resume. A trained run that other settings would replace is kept as ``run.1`` and so on; in a store, this is an error.
+    resume. A trained run that other settings would replace is kept as ``run.1`` and so on; in a store, it is an error.
 
     Args:
         source: a capture, or a source that ``fourd import`` can read. A URL is copied to ``work/source/``.
@@ -183,11 +183,10 @@ def make_scene(
         check_writable(out)
     with locked_folder(folder):
         runner = Runner(context, folder / RECORD, execute, is_parallel=cluster is not None, force=force)
-        _make_in_folder(request, folder, runner)
-        return _summarize(folder)
+        return _make_in_folder(request, folder, runner)
 
 
-def _make_in_folder(request: SceneRequest, folder: Path, runner: Runner) -> None:
+def _make_in_folder(request: SceneRequest, folder: Path, runner: Runner) -> RunSummary:
     """Run the stages of :func:`make_scene` in the local ``folder``, which is locked."""
     folder.mkdir(parents=True, exist_ok=True)
     remove_unfinished(folder, deep=True)
@@ -197,6 +196,7 @@ def _make_in_folder(request: SceneRequest, folder: Path, runner: Runner) -> None
     _run_graph(request, replace(request.run, capture=given, run=folder / RUN), folder, scene, runner)
     if isinstance(out, StorageUrl):
         upload_changed(scene, out, folder / UPLOADED, request.context.track)
+    return _summarize(folder)
 
 
 def _make_stored(
