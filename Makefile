@@ -55,13 +55,14 @@ test-slow: install
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python tools/lint_package.py
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
 
 docs: install
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 clean:
-	rm -rf $(VENV) build demo .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) build demo .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
 
 # Run the kernels on invalid inputs: under ASan and UBSan, including the emulated CUDA kernels, and under TSan.
 sanitize: sanitize-address sanitize-thread

@@ -65,8 +65,7 @@ def test_the_cycle_check_finds_cycles(tmp_path: Path) -> None:
 
 
 def source_files() -> Iterator[Path]:
-    """The files in the folders of SOURCES, without symbolic links. In some checkouts, fourd/viewer is a link to
-    viewer/."""
+    """The files in the folders of SOURCES, without symbolic links: fourd/viewer is a link to viewer/."""
     for top in SOURCES:
         for path in sorted((ROOT / top).rglob("*")):
             folders = path.relative_to(ROOT).parts[:-1]

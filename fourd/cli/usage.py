@@ -1,4 +1,9 @@
-"""Report a usage error as one line instead of the box that tyro prints."""
+"""Report a usage error as one line instead of the box that tyro prints.
+
+tyro has no public interface to its errors: its module ``_errors`` is private and may change in any release. The
+constants below therefore match the text of the box. If a version of tyro prints another text, the errors are longer
+lines, and tests/cli/options/test_tyro_box.py fails.
+"""
 
 from __future__ import annotations
 

@@ -173,7 +173,7 @@ class DepthPeeling:
         short = _short_dtype(precision)
         formats = {"sum": (4, short), "layer": (4, short), "ranks 0": (1, "f4"), "ranks 1": (1, "f4")}
         self._targets = RenderTargets(context, formats, has_depth=True)
-        self._copy = FullScreenPass(context, "copy.frag")
+        self._copy = FullScreenPass(context, "copy.frag.js")
         self._over_background = OverBackground(context)
 
     def draw(self, request: RenderRequest, target: moderngl.Framebuffer, is_picture: bool = True) -> None:
@@ -224,7 +224,7 @@ class DualDepthPeeling:
         self._targets = RenderTargets(context, formats)
         self._composite_layers = FullScreenPass(context, "dual_composite.frag")
         self._remaining_layers = FullScreenPass(context, "remaining_layers.frag")
-        self._copy = FullScreenPass(context, "copy.frag")
+        self._copy = FullScreenPass(context, "copy.frag.js")
         self._over_background = OverBackground(context)
         self._counter = SampleCounter()
 

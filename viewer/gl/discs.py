@@ -17,14 +17,13 @@ from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.context import driver_info
 from fourd.viewer.gl.frame_textures import FrameTextures
 from fourd.viewer.gl.image_region import ImageRegion, RegionFinder
-from fourd.viewer.gl.shaders import TEXELS_PER_ROW, compile_program, set_uniforms
+from fourd.viewer.gl.shaders import MAX_BLENDED, TEXELS_PER_ROW, compile_program, set_uniforms
 
 Paint = Literal["colour", "normal", "depth"]
 """The quantity that a disc shows: its colour, its normal or its depth. Normals are in camera axes."""
 
 PAINTS: tuple[Paint, ...] = get_args(Paint)
 _BYTES_PER_DISC = 32
-_MAX_BLENDED_VIEWS = 64  # the array length in viewer/shaders/shade.vert
 _DISCS_PER_ROW = TEXELS_PER_ROW // 2
 _MAX_RANKS = 1 << 24
 
@@ -255,7 +254,7 @@ def _camera_uniforms(camera: Camera) -> dict[str, tuple[float, ...]]:
 def _shading_uniforms(request: RenderRequest) -> dict[str, object]:
     manifest = request.manifest
     blended = select_source_views(request.camera, manifest)
-    unused = _MAX_BLENDED_VIEWS - len(blended.indices)
+    unused = MAX_BLENDED - len(blended.indices)
     return {
         "blended_views": [*blended.indices, *[0] * unused],
         "view_weights": [*map(float, blended.weights), *[0.0] * unused],

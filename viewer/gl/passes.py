@@ -86,7 +86,7 @@ class FullScreenPass:
     """Runs a fragment shader for every pixel of the bound framebuffer."""
 
     def __init__(self, context: moderngl.Context, fragment: str) -> None:
-        self._program = compile_program(context, "fullscreen.vert", fragment)
+        self._program = compile_program(context, "fullscreen.vert.js", fragment)
         self._array = context.vertex_array(self._program, [])
 
     def run(self, textures: dict[str, moderngl.Texture], **uniforms: object) -> None:

@@ -1,4 +1,4 @@
-"""Loads, joins and compiles the GLSL files of viewer/shaders."""
+"""Loads, joins and compiles GLSL files."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from fourd.viewer.shader_files import read_shader
 TEXELS_PER_ROW = 4096
 """Width in texels of the textures that store arrays. The width is a power of two, so that shaders can use bit
 operations."""
+MAX_BLENDED = 64
+"""Largest number of source views that are blended."""
 NONE = 1e9
 """A number larger than every rank. The rank of a disc is its position in depth order, counted from 1 at the nearest
 disc.
@@ -21,13 +23,18 @@ In depth peeling, a pixel in which a pass finds no disc gets the value NONE. In 
 -NONE, and NONE is the upper bound of the ranks in the first pass.
 """
 
-_DEFINES = {"TEXELS_PER_ROW": str(TEXELS_PER_ROW), "NONE": "1e9", "MIN_TRANSMITTANCE": str(MIN_TRANSMITTANCE)}
+_DEFINES = {
+    "TEXELS_PER_ROW": str(TEXELS_PER_ROW),
+    "MAX_BLENDED": str(MAX_BLENDED),
+    "NONE": "1e9",
+    "MIN_TRANSMITTANCE": str(MIN_TRANSMITTANCE),
+}
 
 
 def compile_program(
     context: moderngl.Context, vertex: str, fragment: str | None = None, varyings: Sequence[str] = ()
 ) -> moderngl.Program:
-    """Compile the shader files ``vertex`` and ``fragment``.
+    """Compile the shader files ``vertex`` and ``fragment`` of :func:`fourd.viewer.shader_files.read_shader`.
 
     ``varyings`` are the names of the outputs that transform feedback captures.
     """
@@ -47,6 +54,5 @@ def set_uniforms(program: moderngl.Program, **values: Any) -> None:
 
 
 def _load_source(name: str) -> str:
-    version, _, rest = read_shader(name).partition("\n")
     defines = "\n".join(f"#define {key} {value}" for key, value in _DEFINES.items())
-    return f"{version}\n{defines}\n{rest}"
+    return f"#version 330 core\n{defines}\n{read_shader(name)}"

@@ -41,7 +41,7 @@ class SurfaceBuffer:
         for index in range(2):
             formats[f"inverse depth {index}"], formats[f"normal {index}"] = (1, "f4"), (4, "f1")
         self._targets = RenderTargets(context, formats)
-        self._convert = FullScreenPass(context, "stylize/surface.frag")
+        self._convert = FullScreenPass(context, "stylize/surface.frag.js")
         self._last = 0
 
     def draw(

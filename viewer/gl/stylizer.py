@@ -30,9 +30,9 @@ class GLStylizer:
         self._context = context
         formats = {"depth": (1, "f4"), "normal": (4, "f1"), "shaded": (4, "f1"), "picture": (4, "f1")}
         self._targets = RenderTargets(context, {**formats, "lines 0": (1, "u4"), "lines 1": (1, "u4")})
-        self._close = FullScreenPass(context, "stylize/close.frag")
+        self._close = FullScreenPass(context, "stylize/gaps.frag.js")
         self._shade = FullScreenPass(context, "stylize/picture.frag")
-        self._draw_lines = FullScreenPass(context, "stylize/outlines.frag")
+        self._draw_lines = FullScreenPass(context, "stylize/outlines.frag.js")
         self._table: moderngl.Texture | None = None
         self._table_source: NDArray[np.uint8] | None = None
         self._last = 0

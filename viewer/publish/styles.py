@@ -1,6 +1,5 @@
-"""Writes the styles of the web player as a JSON file, which the code in viewer/web/stylize reads. The file contains the
-shaders of viewer/shaders/stylize and, for each style, its shade table (the colours from unlit to lit) and the values of
-its shader uniforms."""
+"""Writes the styles of the web player as a JSON file, which the code in viewer/web/stylize reads. For each style, the
+file contains its shade table (the colours from unlit to lit) and the values of its shader uniforms."""
 
 from __future__ import annotations
 
@@ -21,17 +20,9 @@ from fourd.rendering.ops.stylize.parameters import DETAILS, LINE_FILTERS
 from fourd.scene.styles import PRESETS, Style, load_style, view_style
 from fourd.scene.styles.presets import STYLE_SUFFIXES
 from fourd.scene.styles.tables import make_table
-from fourd.viewer.shader_files import read_shader_body
 
 STYLES_NAME = "stylize.json"
 NO_STYLE = "none"
-_SHADERS = {
-    "octahedral": "stylize/octahedral.glsl",
-    "surface": "stylize/surface.frag",
-    "close": "stylize/close.frag",
-    "picture": "stylize/picture.frag",
-    "outlines": "stylize/outlines.frag",
-}
 _OF_THE_CAMERA = ("ray", "light", "detail_per_depth", "hatch_spacing", "paper")
 """Names of the fields of :class:`fourd.rendering.ops.stylize.parameters.Numbers` (a style's uniforms) that depend on
 the camera or on the background colour. The player computes them for each image."""
@@ -56,10 +47,7 @@ def load_styles(paths: Iterable[Path]) -> dict[str, Style]:
 def write_styles(path: Path, styles: Mapping[str, Style]) -> None:
     """Write the styles file of the player atomically. Raises UserError if the shade map of a style (the PNG
     from which its shade table is made) cannot be read."""
-    content = {
-        "shaders": {name: read_shader_body(file) for name, file in _SHADERS.items()},
-        "styles": [_describe(name, style) for name, style in styles.items()],
-    }
+    content = {"styles": [_describe(name, style) for name, style in styles.items()]}
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(content, allow_nan=False, separators=(",", ":")), encoding="utf-8")
 

@@ -1,4 +1,3 @@
-#version 330 core
 // Composites the two layers that a dual peeling pass has found: the nearer one behind `front`, and the farther one in
 // front of `back`. The rank of a disc is its position in depth order, counted from 1, nearest first.
 

@@ -1,4 +1,3 @@
-#version 330 core
 // Composites a premultiplied image over a uniform background. Row 0 of the input is the top of the image.
 
 uniform sampler2D image;

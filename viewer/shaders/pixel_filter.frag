@@ -1,16 +1,14 @@
-#version 330 core
 #extension GL_ARB_derivative_control : enable
 // Applies the pixel filter to an image that has the target's size.
+#define POSITION ivec2
+#include "pixel_filter.glsl.js"
 
 uniform sampler2D image;
-uniform float pixel_filter;  // Weight of each neighbour in the 3-tap filters along rows and columns.
 
 out vec4 colour;
 
 // Returns a pixel of the image. Beyond the border, the nearest pixel is repeated.
 vec4 tap(ivec2 pixel) { return texelFetch(image, clamp(pixel, ivec2(0), textureSize(image, 0) - 1), 0); }
-
-vec4 filter_taps(vec4 middle, vec4 sides) { return pixel_filter * sides + (1.0 - 2.0 * pixel_filter) * middle; }
 
 #ifdef GL_ARB_derivative_control
 // The four fragments of a quad share their taps, so each fragment reads four texels instead of nine. A derivative is
@@ -26,13 +24,5 @@ void main() {
     colour = filter_taps(row, row + float(inner.y) * dFdyFine(row) + outer_row);
 }
 #else
-vec4 filter_row(ivec2 pixel) {
-    return filter_taps(tap(pixel), tap(pixel - ivec2(1, 0)) + tap(pixel + ivec2(1, 0)));
-}
-
-void main() {
-    ivec2 pixel = ivec2(gl_FragCoord.xy);
-    vec4 sides = filter_row(pixel - ivec2(0, 1)) + filter_row(pixel + ivec2(0, 1));
-    colour = filter_taps(filter_row(pixel), sides);
-}
+void main() { colour = filtered(ivec2(gl_FragCoord.xy), ivec2(1, 0), ivec2(0, 1)); }
 #endif

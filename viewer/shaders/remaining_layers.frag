@@ -1,4 +1,3 @@
-#version 330 core
 // Keeps only the pixels in which a dual peeling pass has found layers, so that an occlusion query can count them. If
 // `visible_only` is true, pixels are also dropped where the layers in `front` leave a transmittance below
 // MIN_TRANSMITTANCE, because farther layers are invisible there.

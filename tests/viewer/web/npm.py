@@ -14,14 +14,19 @@ WEB = ROOT / "viewer" / "web"
 TIMEOUT_SECONDS = 120
 
 
+def require_npm() -> None:
+    """Skip the test if node or npm is missing."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        pytest.skip("no node and npm here")
+
+
 def installed(name: str) -> Path:
     """The folder of a package of viewer/web/package.json. The first call installs all packages of this file in
     build/npm.
 
     Skips the test if npm fails or takes longer than ``TIMEOUT_SECONDS``.
     """
-    if shutil.which("node") is None or shutil.which("npm") is None:
-        pytest.skip("no node and npm here")
+    require_npm()
     versions = json.loads((WEB / "package.json").read_text())["devDependencies"]
     folder = ROOT / "build" / "npm"
     if not all(_has(folder, package, version) for package, version in versions.items()):

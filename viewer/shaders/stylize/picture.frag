@@ -1,4 +1,3 @@
-#version 330 core
-#include "stylize/lines.glsl"
-#include "stylize/shading.glsl"
-#include "stylize/picture.glsl"
+#include "stylize/lines.glsl.js"
+#include "stylize/shading.glsl.js"
+#include "stylize/picture.frag.js"

@@ -1,5 +1,7 @@
+import { COPY_FRAGMENT } from "../shaders/copy.frag.js";
+import { FULL_SCREEN_VERTEX } from "../shaders/fullscreen.vert.js";
 import { bindTexture, makeProgram } from "./gl.js";
-import { COPY_FRAGMENT, FULL_SCREEN_VERTEX, NO_DEPTH, PEEL_FRAGMENT, RANK_DEPTH, SORTED_FRAGMENT } from "./shaders.js";
+import { NO_DEPTH, PEEL_FRAGMENT, RANK_DEPTH, SORTED_FRAGMENT } from "./shaders.js";
 import { Target, blendUnder, requireFloatTargets } from "./targets.js";
 /** @typedef {import("./discs.js").Discs} Discs */
 

@@ -1,5 +1,5 @@
-import { bindTexture, makeProgram } from "./gl.js";
-import { MAX_BLENDED, NO_FRAGMENT, SHADE_VERTEX, quadVertex, spriteVertex } from "./shaders.js";
+import { MAX_BLENDED, bindTexture, makeProgram } from "./gl.js";
+import { NO_FRAGMENT, SHADE_VERTEX, quadVertex, spriteVertex } from "./shaders.js";
 /** @typedef {import("../scene/manifest.js").Manifest} Manifest */
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 /** @typedef {import("./frame_textures.js").FrameTextures} FrameTextures */

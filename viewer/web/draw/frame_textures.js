@@ -1,7 +1,8 @@
 import { SceneError } from "../scene/errors.js";
 import { SH_NUMBERS } from "../scene/manifest.js";
-import { bindTexture, makeFramebuffer, makeProgram, makeTexture } from "./gl.js";
-import { FULL_SCREEN_VERTEX, HARMONICS_FRAGMENT, TEXELS_PER_ROW } from "./shaders.js";
+import { FULL_SCREEN_VERTEX } from "../shaders/fullscreen.vert.js";
+import { TEXELS_PER_ROW, bindTexture, makeFramebuffer, makeProgram, makeTexture } from "./gl.js";
+import { HARMONICS_FRAGMENT } from "./shaders.js";
 /** @typedef {import("../scene/manifest.js").Manifest} Manifest */
 /** @typedef {import("../scene/manifest.js").CloudEncoding} CloudEncoding */
 /** @typedef {import("../decode/cloud.js").CloudBase} CloudBase */

@@ -2,8 +2,25 @@ import { SceneError } from "../scene/errors.js";
 
 /** @typedef {WebGL2RenderingContext} GL */
 
+/** Width in texels of the textures that store arrays. */
+export const TEXELS_PER_ROW = 4096;
+/** Largest number of source views that are blended. */
+export const MAX_BLENDED = 64;
+
+/** The first lines of every shader. */
+const HEADER = `#version 300 es
+precision highp float;
+precision highp int;
+precision highp sampler2D;
+precision highp usampler2D;
+precision highp isampler2D;
+precision highp sampler2DArray;
+#define TEXELS_PER_ROW ${TEXELS_PER_ROW}
+#define MAX_BLENDED ${MAX_BLENDED}
+`;
+
 /**
- * Compiles a program.
+ * Compiles a program. The texts of the shaders have no line `#version`.
  * @param {GL} gl
  * @param {string} vertex
  * @param {string} fragment
@@ -83,7 +100,7 @@ export class Program {
 function compile(gl, type, source) {
   const shader = gl.createShader(type);
   if (!shader) throw new SceneError("WebGL: expected a shader, got none; reload the page");
-  gl.shaderSource(shader, source);
+  gl.shaderSource(shader, HEADER + source);
   gl.compileShader(shader);
   if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost()) {
     throw new SceneError(`WebGL: expected valid shaders, got '${gl.getShaderInfoLog(shader)}'; update the browser`);

@@ -1,8 +1,8 @@
 import { dot, row } from "../navigate/math.js";
+import { FULL_SCREEN_VERTEX } from "../shaders/fullscreen.vert.js";
 import { SortedCompositor } from "./compositors.js";
 import { bindTexture, makeProgram, setInitialState } from "./gl.js";
 import { HOST_COLOUR_FRAGMENT, HOST_DEPTH, HOST_DEPTH_FRAGMENT, HOST_DISC_FRAGMENT } from "./host_shaders.js";
-import { FULL_SCREEN_VERTEX } from "./shaders.js";
 /** @typedef {import("../scene/manifest.js").Manifest} Manifest */
 /** @typedef {import("./projected_points.js").Picture} Picture */
 /** @typedef {import("./projected_points.js").ProjectedPoints} ProjectedPoints */

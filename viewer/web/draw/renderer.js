@@ -1,8 +1,9 @@
 import { SceneError } from "../scene/errors.js";
+import { FULL_SCREEN_VERTEX } from "../shaders/fullscreen.vert.js";
 import { PeelingCompositor, SortedCompositor } from "./compositors.js";
 import { bindTexture, makeProgram } from "./gl.js";
 import { ProjectedPoints } from "./projected_points.js";
-import { FULL_SCREEN_VERTEX, OVER_BACKGROUND_FRAGMENT, SCALE_FRAGMENT } from "./shaders.js";
+import { OVER_BACKGROUND_FRAGMENT, SCALE_FRAGMENT } from "./shaders.js";
 import { StyledDrawing } from "../stylize/styled_drawing.js";
 /** @typedef {import("../scene/manifest.js").Manifest} Manifest */
 /** @typedef {import("./projected_points.js").Picture} Picture */
@@ -48,7 +49,7 @@ export class CanvasRenderer {
     if (gl.isContextLost()) return;
     this.points.project(picture);
     if (style && picture.clouds.every((cloud) => !cloud || cloud.normals)) {
-      this.styled ??= new StyledDrawing(gl, this.points, this.manifest.focus, style.shaders);
+      this.styled ??= new StyledDrawing(gl, this.points, this.manifest.focus);
       this.#present(this.scale, this.styled.draw(picture, style, background));
       return;
     }

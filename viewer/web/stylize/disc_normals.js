@@ -1,30 +1,24 @@
 import { bindTexture, makeProgram } from "../draw/gl.js";
-import { DISC, HEADER, NO_FRAGMENT, quadVertex, spriteVertex } from "../draw/shaders.js";
+import { NO_FRAGMENT, quadVertex, spriteVertex } from "../draw/shaders.js";
+import { ALPHA } from "../shaders/alpha.glsl.js";
+import { CAMERA } from "../shaders/camera.glsl.js";
+import { OCTAHEDRAL } from "../shaders/stylize/octahedral.glsl.js";
 /** @typedef {import("../draw/discs.js").Discs} Discs */
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 
 const BYTES_PER_NORMAL = 16;
 
-/**
- * Rotates the normal of one point to camera axes, and computes the weight of the point.
- * @param {string} octahedral
- */
-const normalVertex = (octahedral) => `${HEADER}
-${octahedral}
+/** Rotates the normal of one point to camera axes, and computes the weight of the point. */
+const NORMAL_VERTEX = `${CAMERA}${OCTAHEDRAL}
 uniform sampler2D normals;  // One texel per point: an octahedral normal in world axes.
 uniform sampler2D xyz;
-uniform vec3 rotation_x;    // The rows of R_camera_world.
-uniform vec3 rotation_y;
-uniform vec3 rotation_z;
-uniform vec3 translation;
 in uint point;
 out vec4 normal;  // The normal times the weight, and the weight itself.
 
 void main() {
-  ivec2 at = ivec2(int(point) & (TEXELS_PER_ROW - 1), int(point) / TEXELS_PER_ROW);
-  mat3 turn = transpose(mat3(rotation_x, rotation_y, rotation_z));
-  vec3 turned = turn * decode_octahedral(texelFetch(normals, at, 0).rg);
-  float weight = front_weight(turned, turn * texelFetch(xyz, at, 0).xyz + translation);
+  ivec2 texel = at(int(point));
+  vec3 turned = turn_to_camera(decode_octahedral(texelFetch(normals, texel, 0).rg));
+  float weight = front_weight(turned, to_camera(texelFetch(xyz, texel, 0).xyz));
   normal = vec4(weight * turned, weight);
   gl_Position = vec4(0.0);
   gl_PointSize = 1.0;
@@ -32,7 +26,8 @@ void main() {
 `;
 
 /** Outputs the colour, the normal, the depth and the weight of a disc, premultiplied by alpha. */
-export const SURFACE_FRAGMENT = `${HEADER}${DISC}
+export const SURFACE_FRAGMENT = `${ALPHA}
+flat in float disc_depth;
 flat in vec4 disc_normal;
 uniform float depth_unit;  // Unit of depths, in world units. It brings depths into the range of float16.
 layout(location = 0) out vec4 colour;
@@ -53,13 +48,12 @@ export class DiscNormals {
   /**
    * @param {WebGL2RenderingContext} gl
    * @param {Discs} discs
-   * @param {string} octahedral GLSL text with `decode_octahedral`.
    */
-  constructor(gl, discs, octahedral) {
+  constructor(gl, discs) {
     this.gl = gl;
     this.discs = discs;
     const options = { attributes: ["point"], varyings: ["normal"] };
-    this.program = makeProgram(gl, normalVertex(octahedral), NO_FRAGMENT, options);
+    this.program = makeProgram(gl, NORMAL_VERTEX, NO_FRAGMENT, options);
     this.feedback = gl.createTransformFeedback();
     this.buffer = gl.createBuffer();
     this.capacity = 0;

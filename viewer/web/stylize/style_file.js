@@ -21,11 +21,7 @@ import { SceneError } from "../scene/errors.js";
  * @property {string} table The shade table, (rows, 256, 3) uint8, compressed with zlib and encoded in base64.
  */
 
-const SHADER_NAMES = /** @type {const} */ (["octahedral", "surface", "close", "picture", "outlines"]);
-
-/** GLSL code without `#version`. @typedef {Record<typeof SHADER_NAMES[number], string>} ShaderTexts */
-
-/** @typedef {{shaders: ShaderTexts, styles: Style[]}} StyleFile */
+/** @typedef {{styles: Style[]}} StyleFile */
 
 const TONES = 256;
 const NUMBER_NAMES = /** @type {const} */ (["persistence", "thickness", "hatch_spacing", "detail_axis", "line_filter", "rows"]);
@@ -43,8 +39,7 @@ export async function loadStyles(url) {
   /** @type {any} */
   const content = await response.json().catch(() => null);
   const styles = content?.styles;
-  const shaders = SHADER_NAMES.every((name) => typeof content?.shaders?.[name] === "string");
-  if (!shaders || !Array.isArray(styles) || !styles.every(isStyle)) {
+  if (!Array.isArray(styles) || !styles.every(isStyle)) {
     throw new SceneError(`${url.href}: expected the styles of the player, got other content; write the site again`);
   }
   return content;

@@ -1,18 +1,24 @@
 import { SortedCompositor } from "../draw/compositors.js";
 import { bindTexture, makeProgram, makeTexture } from "../draw/gl.js";
-import { FULL_SCREEN_VERTEX, HEADER, NO_DEPTH } from "../draw/shaders.js";
+import { NO_DEPTH } from "../draw/shaders.js";
 import { Target } from "../draw/targets.js";
+import { FULL_SCREEN_VERTEX } from "../shaders/fullscreen.vert.js";
+import { GAPS } from "../shaders/stylize/gaps.frag.js";
+import { LINES } from "../shaders/stylize/lines.glsl.js";
+import { OUTLINES } from "../shaders/stylize/outlines.frag.js";
+import { PICTURE } from "../shaders/stylize/picture.frag.js";
+import { SHADING } from "../shaders/stylize/shading.glsl.js";
+import { SURFACE } from "../shaders/stylize/surface.frag.js";
 import { DiscNormals, SURFACE_FRAGMENT } from "./disc_normals.js";
 import { distanceTo, viewStyle } from "./view_style.js";
 /** @typedef {import("../draw/gl.js").Program} Program */
 /** @typedef {import("../draw/projected_points.js").Picture} Picture */
 /** @typedef {import("../draw/projected_points.js").ProjectedPoints} ProjectedPoints */
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
-/** @typedef {import("./style_file.js").ShaderTexts} ShaderTexts */
 
 /**
- * A style with its decompressed shade table, and the shaders of all styles.
- * @typedef {{style: import("./style_file.js").Style, table: Uint8Array, shaders: ShaderTexts}} ReadyStyle
+ * A style with its decompressed shade table.
+ * @typedef {{style: import("./style_file.js").Style, table: Uint8Array}} ReadyStyle
  */
 
 const TONES = 256;
@@ -26,24 +32,23 @@ export class StyledDrawing {
    * @param {WebGL2RenderingContext} gl
    * @param {ProjectedPoints} points The caller must release them.
    * @param {number[]} focus Centre of the scene.
-   * @param {ShaderTexts} shaders
    */
-  constructor(gl, points, focus, shaders) {
+  constructor(gl, points, focus) {
     this.gl = gl;
     this.points = points;
     this.focus = focus;
-    const normals = new DiscNormals(gl, points.discs, shaders.octahedral);
+    const normals = new DiscNormals(gl, points.discs);
     this.normals = normals;
     this.compositor = new SortedCompositor(gl, points.discs, {
       outputs: 3,
       pass: normals.makePass(SURFACE_FRAGMENT, NO_DEPTH),
     });
-    const make = (/** @type {string} */ text) => makeProgram(gl, FULL_SCREEN_VERTEX, HEADER + text);
+    const make = (/** @type {string} */ text) => makeProgram(gl, FULL_SCREEN_VERTEX, text);
     this.programs = {
-      surface: make(shaders.surface),
-      close: make(shaders.close),
-      picture: make(shaders.picture),
-      outlines: make(shaders.outlines),
+      surface: make(SURFACE),
+      close: make(GAPS),
+      picture: make(LINES + SHADING + PICTURE),
+      outlines: make(OUTLINES),
     };
     this.emptyArray = gl.createVertexArray();
     /** Albedo, inverse depth and normals of the last two images. @type {Target[]} */

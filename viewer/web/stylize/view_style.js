@@ -8,7 +8,7 @@ const MAX_THICKNESS = 8;
 const LEAST_SPACING = 3;
 
 /**
- * Returns the uniforms of viewer/shaders/stylize/picture.frag for a camera, as `view_style` of fourd/scene/styles/view.py
+ * Returns the uniforms of viewer/web/shaders/stylize/picture.frag.js for a camera, as `view_style` of fourd/scene/styles/view.py
  * does.
  * @param {Style} style
  * @param {Camera} camera

@@ -61,7 +61,7 @@ export class StyleMenu {
    * @returns {Promise<import("../stylize/styled_drawing.js").ReadyStyle>}
    */
   async #prepare(name, stage) {
-    const { styles, shaders } = await this.#load();
+    const { styles } = await this.#load();
     const style = styles.find((each) => each.name === name);
     if (!style) {
       const names = [NONE, ...styles.map((each) => each.name)].join(", ");
@@ -73,7 +73,7 @@ export class StyleMenu {
     if (!stage.renderer?.gl.getExtension("EXT_color_buffer_float")) {
       throw new SceneError("WebGL: expected the extension EXT_color_buffer_float for styles, got none; use a newer browser");
     }
-    return { style, shaders, table: await readTable(style) };
+    return { style, table: await readTable(style) };
   }
 
   async #load() {

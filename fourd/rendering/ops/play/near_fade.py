@@ -13,7 +13,7 @@ capture's cameras, no surface fades. Only a misplaced point can, such as a large
 Training and evaluation (:func:`fourd.rendering.render_points`) cut points off at ``near`` without a fade. With a fade,
 training could hide a misplaced point by moving it towards a camera, and evaluation would measure it less.
 
-The same formula is in ``csrc/play/near_fade.h``, ``viewer/shaders/shade.vert`` and ``viewer/web/draw/shaders.js``.
+The same formula is in ``csrc/play/near_fade.h`` and ``viewer/web/shaders/points.glsl.js``.
 """
 
 from __future__ import annotations

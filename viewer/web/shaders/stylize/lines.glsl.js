@@ -1,4 +1,5 @@
-// Finds lines, as find_lines in fourd/rendering/ops/stylize/reference.py does. This code is also valid GLSL ES 3.00.
+export const LINES = /* glsl */ `
+// Finds lines, as find_lines in fourd/rendering/ops/stylize/reference.py does.
 
 uniform float ray[6];  // The first two rows of the inverse intrinsic matrix.
 uniform sampler2D closed_depth;
@@ -39,7 +40,7 @@ float tap_depth(ivec2 pixel, int right, int down) {
     return texelFetch(closed_depth, tap_pixel(pixel, ivec2(right, down)), 0).r;
 }
 
-// Returns the inverse depth of a tap, and the cosine between its normal and `normal`, both multiplied by the coverage
+// Returns the inverse depth of a tap, and the cosine between its normal and normal, both multiplied by the coverage
 // of the tap.
 vec2 tap(ivec2 pixel, ivec2 steps, vec3 normal) {
     ivec2 at = tap_pixel(pixel, steps);
@@ -97,7 +98,7 @@ float kept_line(ivec2 pixel) {
 }
 
 // Returns the strength, in [0, 1], of the line at a pixel, independently of the previous image. The thresholds are
-// multiplied by `scale`.
+// multiplied by scale.
 float fresh_line(ivec2 pixel, float scale) {
     vec4 own = unpack_normal(texelFetch(closed_normal, pixel, 0));
     vec3 normal = own.xyz * own.w;
@@ -125,3 +126,4 @@ uint find_line(ivec2 pixel) {
     if (abs(seen - old_seen) <= SAME_TAPS * seen && line > before) line += persistence * (before - line);
     return bits | uint(line * 255.0 + 0.5);
 }
+`;

@@ -1,6 +1,7 @@
+export const SHADING = /* glsl */ `
 // Shades a pixel, as stylize_reference in fourd/rendering/ops/stylize/reference.py does. The uniforms have the names and units of
-// the class Numbers in fourd/rendering/ops/stylize/parameters.py. lines.glsl must precede this code, which is also valid GLSL ES
-// 3.00.
+// the class Numbers in fourd/rendering/ops/stylize/parameters.py. lines.glsl.js must precede this
+// code.
 
 uniform vec3 light;
 uniform float table_alone;
@@ -38,14 +39,14 @@ float hatch_layer(float position, float level, float brightness) {
     return wide > 0.0 ? unit((wide - distance) * hatch_spacing * 0.5 + 0.5) : 0.0;
 }
 
-// Returns the fraction of the pixel at `position` (in pixels) that hatching covers with ink.
+// Returns the fraction of the pixel at position (in pixels) that hatching covers with ink.
 float hatching(vec2 position, float brightness) {
     float first = hatch_layer(position.x + 0.5 * position.y, hatch_levels.x, brightness);
     return max(first, hatch_layer(16384.0 + position.x - 0.7 * position.y, hatch_levels.y, brightness));
 }
 
-// Returns the colour of a surface with the captured colour `own`. `normal` is the unit normal, or 0 where there is no
-// surface. `inverse_depth` is in 1 / world units.
+// Returns the colour of a surface with the captured colour own. normal is the unit normal, or 0 where there is no
+// surface. inverse_depth is in 1 / world units.
 vec3 shade(ivec2 pixel, vec3 own, vec3 normal, float inverse_depth) {
     vec3 towards = ray_of(pixel);
     float facing = unit(-dot(normal, towards) / sqrt(dot(towards, towards)));
@@ -59,3 +60,4 @@ vec3 shade(ivec2 pixel, vec3 own, vec3 normal, float inverse_depth) {
     float brightness = sqrt(unit(dot(own, vec3(0.299, 0.587, 0.114)) * tone));
     return colour + hatching(vec2(pixel) + 0.5, brightness) * (hatch_colour - colour);
 }
+`;

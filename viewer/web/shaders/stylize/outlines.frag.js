@@ -1,5 +1,6 @@
+export const OUTLINES = /* glsl */ `
 // Draws lines over a shaded image, except for specks (very short lines), as remove_specks in
-// fourd/rendering/ops/stylize/reference.py does. This code is also valid GLSL ES 3.00.
+// fourd/rendering/ops/stylize/reference.py does.
 
 uniform sampler2D shaded;
 uniform highp usampler2D lines;  // The state of the lines, in the layout of csrc/stylize/stylize.h.
@@ -19,7 +20,7 @@ uint strength_at(ivec2 pixel) {
 }
 
 // Returns true if a line of at least LEAST_STRENGTH crosses the border of a square around a pixel. The border is
-// `reach` pixels away from this pixel.
+// reach pixels away from this pixel.
 bool reaches_square(ivec2 pixel, int reach) {
     for (int along = -reach; along <= reach; ++along) {
         uint rows = max(strength_at(pixel + ivec2(along, -reach)), strength_at(pixel + ivec2(along, reach)));
@@ -38,3 +39,4 @@ void main() {
     picture = texelFetch(shaded, pixel, 0);
     picture = vec4(mix(picture.rgb, line_colour, line), max(picture.a, line));
 }
+`;

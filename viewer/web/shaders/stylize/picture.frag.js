@@ -1,5 +1,6 @@
-// Shades a surface whose gaps are filled, and finds its lines. lines.glsl and shading.glsl must precede this code,
-// which is also valid GLSL ES 3.00.
+export const PICTURE = /* glsl */ `
+// Shades a surface whose gaps are filled, and finds its lines. lines.glsl.js and shading.glsl.js must precede this
+// code.
 
 uniform sampler2D albedo;
 uniform vec3 paper;
@@ -17,3 +18,4 @@ void main() {
     shaded = vec4(paper + coverage * (colour - paper), coverage);
     new_line_state = find_line(pixel);
 }
+`;

@@ -1,5 +1,5 @@
-// Fills the gaps between surfaces, as fill_gaps in fourd/rendering/ops/stylize/reference.py does. This code is also valid GLSL ES
-// 3.00.
+export const GAPS = /* glsl */ `
+// Fills the gaps between surfaces, as fill_gaps in fourd/rendering/ops/stylize/reference.py does.
 
 uniform sampler2D inverse_depth;
 uniform sampler2D normal;
@@ -12,7 +12,7 @@ const int GAP = 3;  // On each side of a pixel, a surface is searched within GAP
 ivec2 inside(ivec2 pixel) { return clamp(pixel, ivec2(0), textureSize(inverse_depth, 0) - 1); }
 
 // Finds the surface nearest to the camera within GAP pixels in a direction. Returns its inverse depth, and stores its
-// pixel in `found`.
+// pixel in found.
 float nearest(ivec2 pixel, ivec2 direction, out ivec2 found) {
     float best = 0.0;
     found = pixel;
@@ -28,7 +28,7 @@ float nearest(ivec2 pixel, ivec2 direction, out ivec2 found) {
 }
 
 // Fills a pixel along an axis if the surfaces on both sides are nearer to the camera than the surface at the pixel. In
-// this case, sets `depth` and `source` to the inverse depth and the pixel of the farther one of these two surfaces.
+// this case, sets depth and source to the inverse depth and the pixel of the farther one of these two surfaces.
 void fill(ivec2 pixel, ivec2 axis, inout float depth, inout ivec2 source) {
     ivec2 first_at, second_at;
     float first = nearest(pixel, -axis, first_at), second = nearest(pixel, axis, second_at);
@@ -47,3 +47,4 @@ void main() {
     closed_depth = depth;
     closed_normal = texelFetch(normal, source, 0);
 }
+`;

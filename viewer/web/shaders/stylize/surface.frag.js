@@ -1,11 +1,11 @@
-#version 330 core
+export const SURFACE = /* glsl */ `
 // Converts composited colours, normals and depths to the visible surface (class Surface in
-// fourd/rendering/ops/stylize/parameters.py). Row 0 of the result is the top of the image. This code is also valid GLSL ES 3.00.
+// fourd/rendering/ops/stylize/parameters.py). Row 0 of the result is the top of the image.
 
 uniform sampler2D colours;  // Colours, normals and depths are premultiplied by alpha.
-uniform sampler2D normals;    // Normals times front_weight, the weight of a point (octahedral.glsl).
+uniform sampler2D normals;    // Normals times front_weight, the weight of a point (octahedral.glsl.js).
 uniform sampler2D depths;     // Four channels: front_weight * depth / depth_unit, front_weight, 0, and alpha.
-uniform float depth_unit;     // Length of the unit of `depths`, in world units.
+uniform float depth_unit;     // Length of the unit of depths, in world units.
 uniform bool is_upside_down;  // Whether row 0 of the inputs is the bottom of the image.
 uniform sampler2D old_inverse_depth;
 uniform sampler2D old_normal;
@@ -40,3 +40,4 @@ void main() {
     inverse_depth += share * (old_depth - inverse_depth);
     normal = vec4((fresh + share * (old - fresh)) / 255.0, coverage);
 }
+`;
