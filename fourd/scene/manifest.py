@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import reprlib
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Annotated, Any
 
@@ -42,8 +42,7 @@ Side = Annotated[int, Meta(ge=1, le=MAX_SIDE)]
 
 
 class ManifestError(ValueError):
-    """Raised for an invalid manifest. The message has the form "manifest.json: where: expected ..., got
-    ..."."""
+    """Raised for an invalid manifest. The message has the form "manifest.json: where: expected ..., got ..."."""
 
 
 class NewerVersionError(ManifestError):
@@ -57,7 +56,7 @@ def manifest_to_json(manifest: SceneManifest) -> bytes:
         "version": manifest.version,
         "producer": manifest.producer,
         "kind": manifest.kind,
-        **_background_to_json(manifest.background),
+        **({} if manifest.background is None else {"background": asdict(manifest.background)}),
         "fps": manifest.fps,
         **({"fps_known": True} if manifest.is_fps_known else {}),
         "layers": manifest.layers,
@@ -203,12 +202,6 @@ def _decode(content: Any) -> SceneManifest:
         optional_attributes=_optional_attributes(parts.attributes),
         encoding=encoding_from_json(content, has_background=is_full) if is_packed else None,
     )
-
-
-def _background_to_json(background: SceneBackground | None) -> dict[str, Any]:
-    if background is None:
-        return {}
-    return {"background": {"points": background.points, "shadow": background.shadow}}
 
 
 def _background(content: dict[str, Any], values: _Values) -> SceneBackground | None:
