@@ -69,10 +69,12 @@ class CloudEncoding:
     image_scale: Annotated[float, Meta(ge=MIN_IMAGE_SCALE, le=1)] | None = None
 
     def __post_init__(self) -> None:
-        sizes = self.lower.size, self.sh_mean.size, self.sh_basis.size % SH_NUMBERS
-        if sizes != (3, SH_NUMBERS, 0) or self.sh_basis.size > SH_NUMBERS**2:
+        for name, count in (("lower", 3), ("sh_mean", SH_NUMBERS)):
+            if (found := getattr(self, name).shape) != (count,):
+                raise ValueError(f"{name}: expected {count} finite numbers, got an array of shape {found}")
+        if (size := self.sh_basis.size) % SH_NUMBERS or size > SH_NUMBERS**2:
             raise ValueError(
-                f"expected 3 numbers in lower, {SH_NUMBERS} in sh_mean and each row of sh_basis, got others"
+                f"sh_basis: expected at most {SH_NUMBERS} rows of {SH_NUMBERS} numbers, got {size} numbers"
             )
         # In a manifest, the rows are one list.
         object.__setattr__(self, "sh_basis", self.sh_basis.reshape(-1, SH_NUMBERS))

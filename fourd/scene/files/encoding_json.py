@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,8 +31,9 @@ def encoding_from_json(manifest: dict[str, Any], *, has_background: bool) -> Sce
     elif encoding.background is None:
         raise ValueError('encoding: expected a key "background", got none')
     for name, cloud in (("dynamic", encoding.dynamic), ("background", encoding.background)):
-        if cloud is not None and manifest["encoding"][name].get("sh_rows") != len(cloud.sh_basis):
-            raise ValueError(f"encoding, {name}, sh_rows: expected {len(cloud.sh_basis)}, got another value")
+        rows = None if cloud is None else manifest["encoding"][name].get("sh_rows")
+        if cloud is not None and rows != len(cloud.sh_basis):
+            raise ValueError(f"encoding, {name}, sh_rows: expected {len(cloud.sh_basis)}, got {reprlib.repr(rows)}")
     return encoding
 
 
