@@ -14,8 +14,9 @@ from fourd.base.files import atomic_path, is_unused, remove_unfinished, remove_u
 from fourd.base.processes import locked_folder
 from fourd.base.storage import Location, StorageUrl, check_writable, upload_changed
 from fourd.pipeline.cluster import Cluster
-from fourd.pipeline.facts import MaskFacts, is_usable
+from fourd.pipeline.facts import MaskFacts
 from fourd.pipeline.fetch import fetch_stage, fetched_path
+from fourd.pipeline.graphs.capture import needs_import
 from fourd.pipeline.graphs.plan import describe_plan
 from fourd.pipeline.graphs.run import RunRequest, stages_to_first_points
 from fourd.pipeline.graphs.scene import CALIBRATION, CAPTURE, REPAIRED, SceneStages
@@ -276,7 +277,7 @@ def _run_graph(request: SceneRequest, run: RunRequest, work: Path, out: Path, ru
     )
     remove_unfinished_file(out)
     context.log(describe_plan(stages, context.workers))
-    if options.fps is not None and is_usable(given):
+    if options.fps is not None and not needs_import(given, options):
         if given.is_relative_to(work) and runner.is_stored:
             runner.run((rate_stage(given, options.fps),))
         else:

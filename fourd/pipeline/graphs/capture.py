@@ -8,16 +8,28 @@ from dataclasses import replace
 from pathlib import Path
 
 from fourd.base.errors import UserError, command_line
-from fourd.pipeline.facts import MaskFacts, is_usable
+from fourd.pipeline.facts import MASKS, MaskFacts, is_usable
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stages.hull_mattes import MIN_MASKED, MIN_MASKED_TO_SCORE, HullMatteSettings, hull_mattes_stage
 from fourd.pipeline.stages.import_ import import_stage
 from fourd.pipeline.stages.mattes import MatteStageSettings, mattes_stage
 from fourd.pipeline.stages.plates import capture_plates_stage
-from fourd.recording.capture.layout import select_views
+from fourd.recording.capture.layout import MATTES, select_views
+from fourd.recording.capture.video_list import NAME as VIDEO_LIST
 from fourd.recording.importing.detection import pick_format
 from fourd.recording.importing.given_calibration import VIDEOS_FORMAT
 from fourd.recording.importing.importer import ImportOptions
+from fourd.recording.importing.record import RECORD
+
+
+def needs_import(source: Path, options: ImportOptions) -> bool:
+    """Return whether a source must be imported: whether it is no usable capture, or a folder of calibrated videos that
+    fourd has not imported, and whose time offsets are to be estimated. Mattes in it belong to unshifted videos, so a
+    folder with mattes is used as it is."""
+    if not is_usable(source):
+        return True
+    is_known = any((source / name).exists() for name in (RECORD, VIDEO_LIST, MATTES, MASKS, "images"))
+    return options.sync_if_possible and not is_known
 
 
 def lacks_calibration(source: Path, options: ImportOptions) -> bool:
@@ -26,19 +38,18 @@ def lacks_calibration(source: Path, options: ImportOptions) -> bool:
     Raises:
         UserError: if the source has no known format.
     """
-    if is_usable(source) or options.calibration is not None:
+    if options.calibration is not None or not needs_import(source, options):
         return False
     return pick_format(None, source).name == VIDEOS_FORMAT
 
 
 def stages_to_capture(source: Path, imported: Path, options: ImportOptions) -> tuple[AnyStage, ...]:
-    """Return the stage that imports ``source`` as a capture into the folder ``imported``. There is none if ``source``
-    is already a usable capture.
+    """Return the stage that imports ``source`` as a capture into the folder ``imported``, if it must be imported.
 
     Raises:
         UserError: if ``options`` contain a calibration, but ``source`` is a capture, which already has one.
     """
-    if not is_usable(source):
+    if needs_import(source, options) and (options.calibration is None or not is_usable(source)):
         return (import_stage(source, imported, options),)
     if options.calibration is not None:
         raise UserError(

@@ -11,7 +11,8 @@ from pathlib import Path
 import av
 
 from fourd.base.errors import UserError
-from fourd.pipeline.facts import MaskFacts, is_usable
+from fourd.pipeline.facts import MaskFacts
+from fourd.pipeline.graphs.capture import needs_import
 from fourd.pipeline.graphs.scene import SceneStages
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.segments import DIVIDE
@@ -101,7 +102,7 @@ def _forecast(stages: SceneStages, workers: int) -> tuple[Forecast, Workload]:
     source, train = stages.source, stages.run.train
     cameras: tuple[ImportedCamera, ...] = ()
     masks = MaskFacts((), (), False)
-    if is_usable(source):
+    if not needs_import(source, stages.imports):
         # Errors in a capture are ignored here, because the check stage reports them.
         with suppress(UserError):
             masks = MaskFacts.read(source)

@@ -9,6 +9,7 @@ import pytest
 from fourd.base.errors import UserError
 from fourd.cli.main import main
 from fourd.pipeline.facts import MaskFacts
+from fourd.pipeline.graphs.capture import needs_import
 from fourd.pipeline.graphs.plan import Forecast
 from fourd.pipeline.graphs.run import RunRequest
 from fourd.pipeline.graphs.scene import SceneStages
@@ -129,3 +130,17 @@ def test_the_scene_is_packed_and_its_page_is_written(
     assert "decided: colours: left as they are; --refine-colours corrects them" in printed
     assert main([*words, "--tier", "none"]) == 0
     assert SceneReader(scene).manifest.encoding is None
+
+
+def test_calibrated_videos_are_imported_to_be_synchronised(tmp_path: Path) -> None:
+    """Catches a folder of videos with a calibration whose offsets are never estimated, because it is a capture as it
+    is, and an imported capture or one with mattes that is imported again."""
+    folder = tmp_path / "session"
+    write_videos(folder / "videos")
+    for name in ("intri.yml", "extri.yml"):
+        (folder / name).write_text("%YAML:1.0\n")
+    assert needs_import(folder, ImportOptions(sync_if_possible=True))
+    assert not needs_import(folder, ImportOptions())
+    (folder / ".fourd").mkdir()
+    (folder / ".fourd" / "import.json").write_text("{}")
+    assert not needs_import(folder, ImportOptions(sync_if_possible=True))
