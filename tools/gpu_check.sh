@@ -1,9 +1,10 @@
 #!/usr/bin/env bash
 # Build fourd for this machine's NVIDIA GPU, run every parity and gradient test on the GPU, and print the benchmark
 # table. The script needs no network. It needs CUDA's nvcc, and Python 3.11+ with torch, numpy, opencv, pyyaml, rich,
-# safetensors, cachetools, zstandard, trimesh, scipy, pytest, scikit-build-core, nanobind, cmake and ninja. Environment
-# variables: PYTHON is the interpreter (default: python3), and ARCHITECTURES are the GPU architectures (default: this
-# GPU's). Set WHEEL to a wheel of fourd with CUDA kernels for this Python and GPU to install it instead of a new build.
+# safetensors, cachetools, zstandard, msgspec, trimesh, scipy, pytest, scikit-build-core, nanobind, cmake and ninja.
+# Environment variables: PYTHON is the interpreter (default: python3), and ARCHITECTURES are the GPU architectures
+# (default: this GPU's). Set WHEEL to a wheel of fourd with CUDA kernels for this Python and GPU to install it instead of
+# a new build.
 #
 #   tools/gpu_check.sh              tests and table
 #   tools/gpu_check.sh sanitize     the tests under compute-sanitizer

@@ -95,20 +95,23 @@ def read_text_limited(path: Path | str, max_bytes: int = MAX_TEXT_BYTES) -> str:
 
 
 def read_json(path: Path | str, max_bytes: int = MAX_TEXT_BYTES) -> Any:
-    """Parse a JSON file. Raises the same errors as :func:`read_text_limited`, and ValueError for invalid JSON.
+    """Parse a JSON file. Raises the same errors as :func:`read_limited`, and ValueError if the content is not JSON."""
+    return parse_json(read_limited(path, max_bytes))
 
-    JSON that is nested too deeply for the parser also raises ValueError.
-    """
+
+def parse_json(content: bytes) -> Any:
+    """Parse UTF-8 JSON. Raises ValueError, with a message of one line, for other content and for deeply nested JSON."""
     try:
-        return json.loads(read_text_limited(path, max_bytes))
-    except RecursionError as error:
-        raise ValueError("expected JSON of moderate depth, got deeply nested lists") from error
+        return json.loads(content.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        reason = error if isinstance(error, ValueError) else "deeply nested lists"
+        raise ValueError(f"expected UTF-8 JSON, got other content ({reason})") from error
 
 
 def read_fraction(value: object) -> Fraction:
     """Convert a value from a file, such as 25, 29.97 or "30000/1001", to an exact fraction.
 
-    Raises TypeError, ValueError or ZeroDivisionError for other values. Numbers with exponents or more than 64
+    Raises TypeError or ValueError for other values. Numbers with exponents or more than 64
     characters are also refused, because they could fill the memory: as a fraction, the text "1e99999999" would need
     gigabytes.
     """
@@ -119,7 +122,10 @@ def read_fraction(value: object) -> Fraction:
         raise ValueError(f"expected a number of at most {MAX_NUMBER} characters without an exponent")
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"expected a finite number, got {value}")
-    return Fraction(value)
+    try:
+        return Fraction(value)
+    except ZeroDivisionError as error:
+        raise ValueError("expected a fraction, got a division by zero") from error
 
 
 def printable(text: str) -> str:

@@ -128,7 +128,7 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float | 
         near=run.config.scene.near,
         pixel_filter=run.config.train.pixel_filter,
         kind=run.config.train.scene,
-        background=None if background is None else SceneBackground(background.points.xyz.shape[0]),
+        background=None if background is None else SceneBackground(background.points.xyz.shape[0], shadow=False),
         producer=f"fourd {__version__}",
     )
 

@@ -7,32 +7,42 @@ skipped.
 from __future__ import annotations
 
 import json
-from typing import Any
+import reprlib
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 
 from fourd.base.cameras import Camera
+from fourd.base.json_file import Matrix, Vector, decode_json, require_printable
+from fourd.base.limits import parse_json, printable
 from fourd.recording.capture.frame_rate import DEFAULT_FPS
 from fourd.scene.attributes import ATTRIBUTES
 from fourd.scene.files.encoding_json import encoding_from_json, encoding_to_json
-from fourd.scene.files.json_node import JsonNode, ManifestError
 from fourd.scene.scene import (
     FORMAT_NAME,
     FORMAT_VERSION,
     FULL_VERSION,
     PACKED_VERSION,
+    Count,
     SceneBackground,
     SceneKind,
     SceneManifest,
 )
 
 MAX_FRAMES = 1_000_000
-MAX_POINTS = 1 << 26
 MAX_VIEWS = 4096
 MAX_SIDE = 1 << 16
 MAX_PIXELS = 1 << 25
 """Maximum number of pixels of a camera's image. An 8K image (7680 x 4320) is below this limit."""
-KINDS: tuple[SceneKind, ...] = ("object", "full")
+Name = Annotated[str, Meta(max_length=255)]
+Side = Annotated[int, Meta(ge=1, le=MAX_SIDE)]
+
+
+class ManifestError(ValueError):
+    """Raised for an invalid manifest. The message has the form "manifest.json: where: expected ..., got ..."."""
 
 
 class NewerVersionError(ManifestError):
@@ -46,7 +56,7 @@ def manifest_to_json(manifest: SceneManifest) -> bytes:
         "version": manifest.version,
         "producer": manifest.producer,
         "kind": manifest.kind,
-        **_background_to_json(manifest.background),
+        **({} if manifest.background is None else {"background": asdict(manifest.background)}),
         "fps": manifest.fps,
         **({"fps_known": True} if manifest.is_fps_known else {}),
         "layers": manifest.layers,
@@ -69,98 +79,153 @@ def manifest_to_json(manifest: SceneManifest) -> bytes:
     return json.dumps(content, indent=1, allow_nan=False).encode()
 
 
+@dataclass(frozen=True)
+class _Header:
+    """The keys that manifests of all versions have."""
+
+    format: Name
+    version: Annotated[int, Meta(ge=1, le=1 << 31)]
+
+
+@dataclass(frozen=True)
+class _Values:
+    """The keys that are also fields of :class:`SceneManifest`."""
+
+    version: int
+    producer: Name
+    kind: SceneKind
+    layers: Annotated[int, Meta(ge=1, le=64)]
+    neighbours: Annotated[int, Meta(ge=1, le=64)]
+    near: Annotated[float, Meta(ge=1e-12, le=1e9)]
+    focus: Vector
+    fps: Annotated[float, Meta(ge=1e-3, le=1e4)] = DEFAULT_FPS
+    fade_views: bool = False
+    pixel_filter: Annotated[float, Meta(ge=0, le=0.25)] = 0.0
+
+    def __post_init__(self) -> None:
+        require_printable("producer", self.producer)
+
+
+@dataclass(frozen=True)
+class _Sh:
+    range: Annotated[float, Meta(ge=0, le=1e3)]
+    base: Annotated[float, Meta(ge=-1e3, le=1e3)]
+
+
+@dataclass(frozen=True)
+class _Box:
+    lower: Vector
+    upper: Vector
+
+    def __post_init__(self) -> None:
+        if any(low > high for low, high in zip(self.lower, self.upper, strict=True)):
+            raise ValueError(f"expected lower below upper, got {self.lower} and {self.upper}")
+
+
+@dataclass(frozen=True)
+class _View:
+    name: Name
+    width: Side
+    height: Side
+    intrinsics: Matrix
+    rotation: Matrix
+    translation: Vector
+
+    def __post_init__(self) -> None:
+        require_printable("name", self.name)
+        if self.width * self.height > MAX_PIXELS:
+            raise ValueError(f"expected at most {MAX_PIXELS} pixels, got {self.width} x {self.height}")
+        _ = self.camera  # the message of an invalid camera names the view
+
+    @cached_property
+    def camera(self) -> Camera:
+        matrices = np.array(self.intrinsics), np.array(self.rotation), np.array(self.translation)
+        return Camera(*matrices, self.width, self.height)
+
+
+@dataclass(frozen=True)
+class _Frame:
+    number: Annotated[int, Meta(ge=0, le=1 << 31)]
+    points: Count
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """The other keys, without those of which the version or the kind decides whether they exist."""
+
+    sh: _Sh
+    bounds: _Box
+    attributes: dict[str, Any]
+    source_views: Annotated[tuple[_View, ...], Meta(max_length=MAX_VIEWS)]
+    other_views: Annotated[tuple[_View, ...], Meta(max_length=MAX_VIEWS)]
+    frames: Annotated[tuple[_Frame, ...], Meta(max_length=MAX_FRAMES)]
+    fps_known: bool = False
+
+
+@dataclass(frozen=True)
+class _Full:
+    background: SceneBackground
+
+
 def manifest_from_json(text: bytes) -> SceneManifest:
     """Parse and check a manifest. Raises ManifestError."""
     try:
-        content = json.loads(text.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise ManifestError(f"manifest.json: expected UTF-8 JSON, got other content ({error})") from error
-    root = JsonNode(content, "manifest.json")
-    if root.text("format") != FORMAT_NAME:
-        raise ManifestError(f'manifest.json: expected format "{FORMAT_NAME}", got "{root.text("format")}"')
-    version = root.integer("version", 1, 1 << 31)
-    if version > FORMAT_VERSION:
-        raise NewerVersionError(f"expected format version {FORMAT_VERSION} or older, got {version}")
-    optional_attributes = _check_attributes(root.node("attributes"))
-    source_names, source_cameras = _views(root.items("source_views", MAX_VIEWS))
-    other_names, other_cameras = _views(root.items("other_views", MAX_VIEWS))
-    kind = root.choice("kind", KINDS)
-    background = _background(root, kind, version)
-    frames = root.items("frames", MAX_FRAMES)
-    sh = root.node("sh")
-    try:
-        return SceneManifest(
-            source_names=source_names,
-            source_cameras=source_cameras,
-            focus=root.triple("focus"),
-            bounds=_bounds(root.node("bounds")),
-            frame_numbers=tuple(frame.integer("number", 0, 1 << 31) for frame in frames),
-            points=tuple(frame.integer("points", 0, MAX_POINTS) for frame in frames),
-            other_names=other_names,
-            other_cameras=other_cameras,
-            fps=root.number("fps", 1e-3, 1e4) if "fps" in root.content else DEFAULT_FPS,
-            is_fps_known="fps_known" in root.content and root.flag("fps_known"),
-            layers=root.integer("layers", 1, 64),
-            neighbours=root.integer("neighbours", 1, 64),
-            fade_views="fade_views" in root.content and root.flag("fade_views"),
-            sh_range=sh.number("range", 0, 1e3),
-            sh_base=sh.number("base", -1e3, 1e3),
-            near=root.number("near", 1e-12, 1e9),
-            pixel_filter=root.number("pixel_filter", 0, 0.25) if "pixel_filter" in root.content else 0.0,
-            kind=kind,
-            background=background,
-            producer=root.text("producer"),
-            version=version,
-            optional_attributes=optional_attributes,
-            encoding=encoding_from_json(root.node("encoding"), has_background=background is not None)
-            if version >= PACKED_VERSION
-            else None,
-        )
-    except ManifestError:
+        return _decode(parse_json(text))
+    except NewerVersionError:
         raise
     except ValueError as error:
         raise ManifestError(f"manifest.json: {error}") from error
 
 
-def _background_to_json(background: SceneBackground | None) -> dict[str, Any]:
-    if background is None:
-        return {}
-    return {"background": {"points": background.points, "shadow": background.shadow}}
+def _decode(content: Any) -> SceneManifest:
+    header = decode_json(content, _Header)
+    if header.format != FORMAT_NAME:
+        raise ValueError(f'expected format "{FORMAT_NAME}", got "{printable(header.format)}"')
+    if header.version > FORMAT_VERSION:
+        raise NewerVersionError(f"expected format version {FORMAT_VERSION} or older, got {header.version}")
+    values, parts = decode_json(content, _Values), decode_json(content, _Parts)
+    background = _background(content, values)
+    is_full, is_packed = background is not None, values.version >= PACKED_VERSION
+    return SceneManifest(
+        **vars(values),
+        source_names=tuple(view.name for view in parts.source_views),
+        source_cameras=tuple(view.camera for view in parts.source_views),
+        other_names=tuple(view.name for view in parts.other_views),
+        other_cameras=tuple(view.camera for view in parts.other_views),
+        bounds=(parts.bounds.lower, parts.bounds.upper),
+        frame_numbers=tuple(frame.number for frame in parts.frames),
+        points=tuple(frame.points for frame in parts.frames),
+        is_fps_known=parts.fps_known,
+        sh_range=parts.sh.range,
+        sh_base=parts.sh.base,
+        background=background,
+        optional_attributes=_optional_attributes(parts.attributes),
+        encoding=encoding_from_json(content, has_background=is_full) if is_packed else None,
+    )
 
 
-def _background(root: JsonNode, kind: SceneKind, version: int) -> SceneBackground | None:
-    if kind == "object":
-        if "background" in root.content:
-            raise root.fail("background", 'no background for kind "object"')
+def _background(content: dict[str, Any], values: _Values) -> SceneBackground | None:
+    if values.kind == "object":
+        if "background" in content:
+            raise ValueError('background: expected no background for kind "object", got one')
         return None
-    if version < FULL_VERSION:
-        raise root.fail("kind", f'"object" in format version {version}')
-    node = root.node("background")
-    return SceneBackground(node.integer("points", 0, MAX_POINTS), node.flag("shadow"))
+    if values.version < FULL_VERSION:
+        raise ValueError(f"kind: expected \"object\" in format version {values.version}, got '{values.kind}'")
+    return decode_json(content, _Full).background
 
 
-def _bounds(node: JsonNode) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    lower, upper = node.triple("lower"), node.triple("upper")
-    if any(low > high for low, high in zip(lower, upper, strict=True)):
-        raise ManifestError(f"{node.where}: expected lower below upper, got {lower} and {upper}")
-    return lower, upper
-
-
-def _check_attributes(node: JsonNode) -> tuple[str, ...]:
+def _optional_attributes(given: dict[str, Any]) -> tuple[str, ...]:
     """Check the attributes that this program knows, and return the names of the optional ones among them. Unknown
     attributes are skipped."""
-    optional = []
-    for attribute in ATTRIBUTES:
-        if attribute.is_optional:
-            if attribute.name not in node.content:
-                continue
-            optional.append(attribute.name)
-        given = node.node(attribute.name)
-        if given.get("dtype") != attribute.dtype:
-            raise given.fail("dtype", f'"{attribute.dtype}"')
-        if given.get("shape") != list(attribute.shape):
-            raise given.fail("shape", f"{list(attribute.shape)}")
-    return tuple(optional)
+    known = [attribute for attribute in ATTRIBUTES if not attribute.is_optional or attribute.name in given]
+    for attribute in known:
+        entry = given.get(attribute.name)
+        for key, wanted in (("dtype", attribute.dtype), ("shape", list(attribute.shape))):
+            got = entry.get(key) if isinstance(entry, dict) else None
+            if got != wanted:
+                where = f"attributes, {attribute.name}, {key}"
+                raise ValueError(f"{where}: expected {json.dumps(wanted)}, got {reprlib.repr(got)}")
+    return tuple(attribute.name for attribute in known if attribute.is_optional)
 
 
 def _views_to_json(names: tuple[str, ...], cameras: tuple[Camera, ...]) -> list[dict[str, Any]]:
@@ -175,25 +240,3 @@ def _views_to_json(names: tuple[str, ...], cameras: tuple[Camera, ...]) -> list[
         }
         for name, camera in zip(names, cameras, strict=True)
     ]
-
-
-def _views(nodes: list[JsonNode]) -> tuple[tuple[str, ...], tuple[Camera, ...]]:
-    return tuple(node.text("name") for node in nodes), tuple(_camera(node) for node in nodes)
-
-
-def _camera(node: JsonNode) -> Camera:
-    width, height = node.integer("width", 1, MAX_SIDE), node.integer("height", 1, MAX_SIDE)
-    if width * height > MAX_PIXELS:
-        raise ManifestError(f"{node.where}: expected at most {MAX_PIXELS} pixels, got {width} x {height}")
-    try:
-        return Camera(
-            intrinsics=np.array(node.matrix("intrinsics")),
-            rotation=np.array(node.matrix("rotation")),
-            translation=np.array(node.numbers("translation", 3)),
-            width=width,
-            height=height,
-        )
-    except ManifestError:
-        raise
-    except ValueError as error:
-        raise ManifestError(f"{node.where}, {error}") from error

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from fourd.base.cameras import Camera
@@ -27,6 +28,9 @@ BAKED_LAYERS = 12
 """Default maximum number of points that are composited per pixel of an exported scene."""
 
 SceneKind = Literal["object", "full"]
+MAX_POINTS = 1 << 26
+Count = Annotated[int, Meta(ge=0, le=MAX_POINTS)]
+"""Number of points of a frame or of the background."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +137,8 @@ class SceneBackground:
         shadow: whether every frame has a shadow. A shadow has one colour factor per background point.
     """
 
-    points: int
-    shadow: bool = False
+    points: Count
+    shadow: bool
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fourd.base.cameras import look_at
 from fourd.base.formats.ply import ColouredPoints
-from fourd.reconstruction.background.shell import build_shell
+from fourd.reconstruction.background.shell import build_shell, distance_to_hull
 from tests.captures import ring_cameras, sphere
 
 CENTRE = np.array([0.3, -0.2, 0.1])
@@ -84,3 +85,31 @@ def test_no_points_give_no_shell() -> None:
     """Catches a crash of the interpolation if no direction is known."""
     empty = ColouredPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
     assert len(build_shell(empty, ring_cameras(8, 64), CENTRE).xyz) == 0
+
+
+def test_a_shell_stays_behind_cameras_in_the_walls() -> None:
+    """Catches an unseen ceiling that hangs before the cameras in it, and one that is left out because it is nearer than
+    the walls: cameras on a dome saw each other through it."""
+    directions = sphere(90_000)
+    directions = directions[directions[:, 2] < 0.6]
+    walls = 3.0 * directions
+    intrinsics = np.array([[60.0, 0, 32], [0, 60, 32], [0, 0, 1]])
+    cameras = [look_at(2.8 * each, np.zeros(3), np.array([0.0, 0, 1]), intrinsics, 64, 64) for each in sphere(60)]
+    grey = np.full((len(walls), 3), 128, np.uint8)
+    # The known ceiling ends in points that are too near, from which the distance of the rest would be extrapolated.
+    walls[directions[:, 2] > 0.45] *= 0.6
+    shell = build_shell(ColouredPoints(walls.astype(np.float32), grey), cameras, np.zeros(3))
+    distance = np.linalg.norm(shell.xyz, axis=1)
+    up = shell.xyz[:, 2] / distance > 0.75
+    assert up.sum() > 20
+    assert distance[up].min() > 2.4
+
+
+def test_the_distance_to_the_hull_of_a_cube_is_known() -> None:
+    """Catches distances from the wrong side of a hull, and an error for cameras in a plane or beside the scene."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+    directions = np.array([[1.0, 0, 0], [0, 0, -1], np.array([1.0, 1, 0]) / np.sqrt(2)])
+    assert np.allclose(distance_to_hull(directions, corners, np.zeros(3)), [1, 1, np.sqrt(2)])
+    assert np.allclose(distance_to_hull(directions, corners, np.array([0.5, 0, 0])), [0.5, 1, np.sqrt(0.5)])
+    assert not distance_to_hull(directions, corners, np.array([3.0, 0, 0])).any()
+    assert not distance_to_hull(directions, corners[corners[:, 2] > 0], np.zeros(3)).any()

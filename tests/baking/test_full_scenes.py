@@ -223,7 +223,7 @@ def test_an_object_scene_accepts_no_background(tmp_path: Path, step: Steps) -> N
     ):
         step(writer)
     with pytest.raises(ValueError, match='expected no background in a scene of kind "object"'):
-        replace(manifest(), background=SceneBackground(5))
+        replace(manifest(), background=SceneBackground(5, shadow=False))
 
 
 def _background(**fields: object) -> Callable[[dict[str, Any]], None]:
@@ -240,10 +240,10 @@ def _background(**fields: object) -> Callable[[dict[str, Any]], None]:
         (lambda content: content.update(background=[]), "background: expected a JSON object"),
         (lambda content: content["background"].pop("points"), 'background: expected a key "points", got none'),
         (lambda content: content["background"].pop("shadow"), 'background: expected a key "shadow", got none'),
-        (_background(points=-1), "background, points: expected a whole number from 0"),
-        (_background(points=10**12), "background, points: expected a whole number from 0"),
-        (_background(points=float("nan")), "background, points: expected a whole number from 0"),
-        (_background(points=True), "background, points: expected a whole number from 0"),
+        (_background(points=-1), "background, points: expected a whole number >= 0, got -1"),
+        (_background(points=10**12), "background, points: expected a whole number <= 67108864, got 1000"),
+        (_background(points=float("nan")), "background, points: expected a whole number, got nan"),
+        (_background(points=True), "background, points: expected a whole number, got True"),
         (_background(points=301, shadow=False), "3612 bytes in background/xyz according to the manifest, got 3600"),
         (_background(points=1 << 26), "67108864 bytes in frames/000000/shadow according to the manifest, got 300"),
         (_background(shadow=1), "background, shadow: expected true or false, got 1"),

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from fourd.base.cameras import Camera
 from fourd.scene.attributes import ATTRIBUTES
 from fourd.scene.files.encoding import SH_NUMBERS, TIERS, CloudEncoding, SceneEncoding
-from fourd.scene.manifest import MAX_PIXELS, MAX_POINTS
+from fourd.scene.manifest import MAX_PIXELS
 from fourd.scene.scene import (
     FULL_VERSION,
+    MAX_POINTS,
     OBJECT_VERSION,
     PACKED_VERSION,
     VIDEO_VERSION,

@@ -13,8 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fourd.base.errors import UserError
-from fourd.scene.files.json_node import ManifestError
-from fourd.scene.manifest import manifest_from_json, manifest_to_json
+from fourd.scene.manifest import ManifestError, manifest_from_json, manifest_to_json
 from fourd.scene.packing.pack import pack_scene
 from fourd.scene.scene import SceneManifest
 from tests.baking.fuzz.rewrite import rewrite_members

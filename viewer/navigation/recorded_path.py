@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
+
+from msgspec import Meta
 
 from fourd.base.errors import UserError
 from fourd.base.files import write_text_atomically
-from fourd.base.limits import read_json
+from fourd.base.json_file import read_json_as
 from fourd.viewer.navigation.pose import Pose
-from fourd.viewer.navigation.saved_views import pose_from_json, pose_to_json
+from fourd.viewer.navigation.saved_views import StoredPose, pose_to_json
 
-FORMAT = "fourd-path"
-VERSION = 1
 RECORDED_FPS = 30.0
 _MAX_BYTES = 256 << 20
 
@@ -36,12 +37,25 @@ class RecordedPath:
     def save(self, path: Path) -> None:
         """Write the path to a JSON file atomically."""
         content = {
-            "format": FORMAT,
-            "version": VERSION,
+            "format": "fourd-path",
+            "version": 1,
             "fps": self.fps,
             "stops": [{"frame": sample.frame, **pose_to_json(sample.pose)} for sample in self.samples],
         }
         write_text_atomically(path, json.dumps(content, indent=1))
+
+
+@dataclass(frozen=True)
+class _Stop(StoredPose):
+    frame: Annotated[int, Meta(ge=0)]
+
+
+@dataclass(frozen=True)
+class _StoredPath:
+    format: Literal["fourd-path"]
+    version: Literal[1]
+    fps: Annotated[float, Meta(gt=0, le=1000)]
+    stops: Annotated[tuple[_Stop, ...], Meta(min_length=1)]
 
 
 class PathRecorder:
@@ -70,26 +84,10 @@ class PathRecorder:
 def load_recorded_path(path: Path) -> RecordedPath:
     """Read a recorded path. Raises UserError, which names the file and the fix, if the file is not valid."""
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise ValueError(f"expected at most {_MAX_BYTES} bytes")
-        content = read_json(path, _MAX_BYTES)
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            raise ValueError(f'expected "format": "{FORMAT}"')
-        if content.get("version") != VERSION:
-            raise ValueError(f"expected version {VERSION}, got {str(content.get('version'))[:20]}")
-        samples = tuple(PathSample(pose_from_json(item), _frame_index(item["frame"])) for item in content["stops"])
-        fps = float(content["fps"])
-        if not samples or not 0 < fps <= 1000:
-            raise ValueError("expected at least one entry in stops, and an fps value above 0 and up to 1000")
+        stored = read_json_as(path, _StoredPath, _MAX_BYTES)
+        return RecordedPath(tuple(PathSample(stop.pose(), stop.frame) for stop in stored.stops), stored.fps)
     except OSError as error:
         reason = (error.strerror or "").lower()
         raise UserError(f"{path}: expected a camera path, got '{reason}'; check the file") from error
-    except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
+    except ValueError as error:
         raise UserError(f"{path}: expected a camera path recorded by the viewer, got another file ({error})") from error
-    return RecordedPath(samples, fps)
-
-
-def _frame_index(value: object) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise ValueError(f"expected frames as whole numbers from 0, got {str(value)[:20]}")
-    return value

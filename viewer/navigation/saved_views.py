@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import platformdirs
+from msgspec import Meta
 
 from fourd.base.files import write_text_atomically
+from fourd.base.json_file import Finite, Matrix, Vector, decode_json
 from fourd.base.limits import read_json
 from fourd.viewer.navigation.pose import Pose
 
@@ -34,24 +37,26 @@ def pose_to_json(pose: Pose) -> dict[str, Any]:
     }
 
 
-def pose_from_json(content: Any) -> Pose:
-    """Return the pose that :func:`pose_to_json` has converted to ``content``. Raises ValueError if ``content`` is not
-    a valid pose."""
-    try:
-        pose = Pose(
-            pivot=_numbers(content["pivot"], (3,)),
-            rotation=_numbers(content["rotation"], (3, 3)),
-            distance=float(_numbers(content["distance"], ())),
-            field_of_view=float(_numbers(content["field_of_view"], ())),
-            up=_numbers(content["up"], (3,)),
-            offset=tuple(_numbers(content["offset"], (2,)).tolist()),
-        )
-    except (KeyError, TypeError, OverflowError) as error:
-        raise ValueError(f"expected a pose, got {str(content)[:60]}") from error
-    if not (pose.distance > 0 and 1e-3 < pose.field_of_view < math.pi and abs(np.linalg.norm(pose.up) - 1) < 1e-3):
-        raise ValueError("expected distance above 0, field_of_view between 0.001 and pi, and a unit vector as up")
-    pose.camera(16, 16)  # raises an error if the rotation is not valid
-    return pose
+@dataclass(frozen=True)
+class StoredPose:
+    """The JSON of a pose, see :func:`pose_to_json`."""
+
+    pivot: Vector
+    rotation: Matrix
+    distance: Annotated[float, Meta(gt=0, lt=1e30)]
+    field_of_view: Annotated[float, Meta(gt=1e-3, lt=math.pi)]
+    up: Vector
+    offset: tuple[Finite, Finite]
+
+    def __post_init__(self) -> None:
+        if not abs(np.linalg.norm(self.up) - 1) < 1e-3:
+            raise ValueError(f"up: expected a unit vector, got {self.up}")
+        self.pose().camera(16, 16)  # raises ValueError if the rotation is not valid
+
+    def pose(self) -> Pose:
+        """Return the pose."""
+        axes = np.array(self.pivot, np.float64), np.array(self.rotation, np.float64)
+        return Pose(*axes, self.distance, self.field_of_view, np.array(self.up, np.float64), self.offset)
 
 
 class SavedViews:
@@ -66,7 +71,7 @@ class SavedViews:
     def load(self, scene: Path) -> Pose | None:
         """Return the saved pose of a scene, or None if no pose is saved."""
         try:
-            return pose_from_json(self._read().get(_key(scene)))
+            return decode_json(self._read().get(_key(scene)), StoredPose).pose()
         except ValueError:
             return None
 
@@ -85,17 +90,10 @@ class SavedViews:
     def _read(self) -> dict[str, Any]:
         try:
             content = read_json(self._file)
-        except (OSError, ValueError, RecursionError):
+        except (OSError, ValueError):
             return {}
         return content if isinstance(content, dict) else {}
 
 
 def _key(scene: Path) -> str:
     return str(scene.resolve())
-
-
-def _numbers(value: Any, shape: tuple[int, ...]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    array = np.array(value, np.float64)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"expected finite numbers of shape {shape}, got {str(value)[:60]}")
-    return array

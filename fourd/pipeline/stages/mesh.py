@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 
 from fourd.base.errors import UserError
 from fourd.base.files import write_text_atomically
+from fourd.base.json_file import Finite, decode_json
 from fourd.base.limits import read_json
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
@@ -122,8 +122,8 @@ def score_mesh(mesh: TexturedMesh, capture: Capture, views: Sequence[int], frame
 class MeanScore:
     """Mean scores: intersection over union, and PSNR in dB. The PSNR is None if all mattes are empty."""
 
-    iou: float
-    psnr: float | None
+    iou: Finite
+    psnr: Finite | None
 
 
 def mean_score(scores: Sequence[MeshScore]) -> MeanScore:
@@ -139,16 +139,9 @@ def read_scores(folder: Path) -> MeanScore:
     """
     path = folder / SCORES_NAME
     try:
-        mean = read_json(path)["mean"]
-        return MeanScore(_number(mean["iou"]), None if mean["psnr"] is None else _number(mean["psnr"]))
+        return decode_json(read_json(path)["mean"], MeanScore)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(f"{path}: expected the scores of meshes, got other content; delete the file") from error
-
-
-def _number(value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise TypeError("expected a number")
-    return float(value)
 
 
 def _open_views(files: MeshFiles, selection: DataSelection) -> tuple[Capture, Capture, list[int]]:

@@ -137,7 +137,8 @@ def start_run(capture_path: Path, folder: Path, train: TrainConfig) -> Run:
     colours = corrects_colours(train.refine.colours, read_measured_colours(folder))
     train = replace(train, refine=replace(train.refine, colours=colours))
     hulls = sample_hull(folder / HULL, capture.frame_numbers)
-    near = train.near or choose_near(capture.cameras, hulls, read_static_near(folder))
+    static_near = train.near or read_static_near(folder)
+    near = train.near or choose_near(capture.cameras, hulls, static_near)
     bounds = read_bounds(folder / HULL)
     first = read_ply(folder / HULL / f"{capture.frame_numbers[0]:06d}.ply").xyz
     lower, upper = ((float(x), float(y), float(z)) for x, y, z in (bounds.lower, bounds.upper))
@@ -148,6 +149,7 @@ def start_run(capture_path: Path, folder: Path, train: TrainConfig) -> Run:
         frame_count=max(capture.total_frames, 1),
         reach=contraction_around(capture.cameras, bounds.centre).radius,
         near=near,
+        static_near=static_near,
     )
     save_config(RunConfig(resolved(capture_path), scene, train), folder / CONFIG_NAME)
     return open_run(folder)

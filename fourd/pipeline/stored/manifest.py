@@ -7,8 +7,11 @@ import posixpath
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
+from typing import NamedTuple
 
 from fourd.base.errors import UserError
+from fourd.base.json_file import decode_json
+from fourd.base.limits import parse_json
 from fourd.base.storage import StorageUrl, is_file_name
 from fourd.reconstruction.training.run_layout import CONFIG_NAME
 from fourd.recording.capture.layout import DERIVED
@@ -19,8 +22,7 @@ LINKED = ("capture", "repaired", "still")
 could redirect the written files, so links there are refused."""
 
 
-@dataclass(frozen=True)
-class FileEntry:
+class FileEntry(NamedTuple):
     """An uploaded file: the size of its object in bytes, and the time of the file's last change in nanoseconds since
     1970."""
 
@@ -58,7 +60,7 @@ class Manifest:
                 "name": self.name,
                 "key": self.key,
                 "attempt": self.attempt,
-                "files": {path: [entry.size, entry.changed_ns] for path, entry in self.files.items()},
+                "files": dict(self.files),
                 "links": dict(self.links),
                 "settings": dict(self.settings),
             }
@@ -95,16 +97,17 @@ def parse_manifest(content: bytes, url: StorageUrl) -> Manifest:
             the folder for intermediate results, or a link that no stage makes.
     """
     try:
-        values = json.loads(content)
+        values = parse_json(content)
         if values["version"] != VERSION:
             raise UserError(f"{url}: expected version {VERSION}, got {values['version']}; update fourd on all nodes")
-        files = {str(path): FileEntry(int(size), int(time)) for path, (size, time) in values["files"].items()}
-        links = {str(path): str(target) for path, target in values["links"].items()}
-        settings = {str(name): str(text) for name, text in values.get("settings", {}).items()}
-        manifest = Manifest(str(values["name"]), str(values["key"]), str(values["attempt"]), files, links, settings)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        manifest = decode_json(values, Manifest)
+    except (ValueError, KeyError, TypeError) as error:
         raise UserError(f"{url}: expected a manifest of fourd make, got other content; delete the object") from error
-    if not (manifest.attempt.isalnum() and all(map(is_file_name, files)) and all(map(_is_link, links.items()))):
+    if not (
+        manifest.attempt.isalnum()
+        and all(map(is_file_name, manifest.files))
+        and all(map(_is_link, manifest.links.items()))
+    ):
         raise UserError(f"{url}: expected names of files of fourd make, got other names; delete the object")
     return manifest
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fourd.base.files import write_text_atomically
+from fourd.base.json_file import decode_json
 from fourd.base.limits import read_json
 from fourd.pipeline.stage import StageState
 
@@ -90,14 +91,10 @@ class Record:
             return cls()
         try:
             content = read_json(path)
-            if not isinstance(content, dict):
-                return cls()
-            if content.get("version") != VERSION:
+            if isinstance(content, dict) and content.get("version") != VERSION:
                 return cls(stages=_earlier(content))
-            scene = content["scene"]
-            kept = {str(name): _entries(entries) for name, entries in content["kept"].items()}
-            return cls(None if scene is None else str(scene), _entries(content["stages"]), kept)
-        except (FileNotFoundError, ValueError, KeyError, TypeError, AttributeError):
+            return decode_json(content, cls)
+        except (FileNotFoundError, ValueError):
             return cls()
 
     def write(self, path: Path) -> None:
@@ -141,24 +138,3 @@ def _earlier(content: Mapping[str, Any]) -> dict[str, StageEntry]:
         )
         for name in sorted(names)
     }
-
-
-def _entries(content: Mapping[str, Any]) -> dict[str, StageEntry]:
-    return {
-        str(name): StageEntry(
-            _optional(values["started"]),
-            _optional(values["finished"]),
-            _optional(values["place"]),
-            None if values["state"] is None else _state(values["state"]),
-        )
-        for name, values in content.items()
-    }
-
-
-def _state(values: Mapping[str, Any]) -> StageState:
-    texts = [{str(name): str(text) for name, text in values[part].items()} for part in ("settings", "inputs", "before")]
-    return StageState(str(values["key"]), *texts)
-
-
-def _optional(value: object) -> str | None:
-    return None if value is None else str(value)

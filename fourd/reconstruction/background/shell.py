@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filter, maximum_filter1d
+from scipy.spatial import ConvexHull, QhullError
 
 from fourd.base.cameras import Camera
 from fourd.base.formats.ply import ColouredPoints
@@ -51,10 +52,20 @@ OCCLUSION_RATIO = 0.9
 """A shell point occludes a known point if both project to about the same position, and the shell point's depth is less
 than this multiple of the known point's depth."""
 DEPTH_CELL_PX = 6.0
+WALL_FACTOR = 1.02
+"""Minimum distance of the shell from the centre where cameras surround the scene, as a multiple of the distance to the
+convex hull of the cameras."""
+MIN_WALL_SHARE = 0.7
+"""The convex hull of the cameras is taken for a wall in directions in which it is at least this far from the centre, as
+a fraction of the median distance of the cameras. Above and below a ring of cameras, it is nearer."""
 
 
 def build_shell(
-    points: ColouredPoints, cameras: Sequence[Camera], centre: Array, track: Track = untracked
+    points: ColouredPoints,
+    cameras: Sequence[Camera],
+    centre: Array,
+    track: Track = untracked,
+    rig: Sequence[Camera] = (),
 ) -> ColouredPoints:
     """Build the shell: additional points that fill the directions without background points.
 
@@ -65,9 +76,10 @@ def build_shell(
 
     Args:
         points: background points that were computed from the plates.
-        cameras: cameras of the scene.
+        cameras: cameras of the plates.
         centre: (3,) world point at which the directions start.
         track: progress callback.
+        rig: all cameras, of which only the positions are used. If empty, these are ``cameras``.
     """
     grid = direction_grid(cameras, centre)
     known = _known_cells(grid, points)
@@ -79,13 +91,32 @@ def build_shell(
     # The rim of the shell (shell points in known cells beside unknown cells) is placed slightly behind the known
     # points, so that no viewpoint shows a slit between the shell and the known points.
     inverse = np.where(is_rim, RIM_FACTOR, 1) * inverse
-    xyz = centre + directions / inverse[:, None]
-    # Shell points that are closer to the centre than the median camera are dropped. The cameras see this part of the
-    # scene, so a gap in it only means that the known points are sparse there.
+    # Cameras that surround the scene on all sides are in its walls, so the walls are not nearer.
     reach = median_distance(cameras, centre)
-    kept = (inverse * reach < 1) & ~occludes(xyz, points.xyz.astype(np.float64), cameras)
+    walls = distance_to_hull(directions, np.array([camera.centre for camera in rig or cameras]), centre)
+    is_wall = walls >= MIN_WALL_SHARE * reach
+    inverse = np.where(is_wall, np.minimum(inverse, 1 / np.maximum(WALL_FACTOR * walls, 1e-9)), inverse)
+    # Other shell points that are closer to the centre than the median camera are dropped. The cameras see this part of
+    # the scene, so a gap in it only means that the known points are sparse there.
+    is_sparse = ~is_wall & (inverse * reach >= 1)
+    xyz = centre + directions / inverse[:, None]
+    kept = ~is_sparse & ~occludes(xyz, points.xyz.astype(np.float64), cameras)
     colours = np.clip(np.rint(rgb[kept]), 0, 255).astype(np.uint8)
     return ColouredPoints(xyz[kept].astype(np.float32), colours)
+
+
+def distance_to_hull(directions: Array, positions: Array, centre: Array) -> Array:
+    """Return the distances (N,) from ``centre`` along the unit vectors ``directions`` (N, 3) to the convex hull of the
+    ``positions`` (M, 3). They are 0 if the hull does not contain the centre, or if the positions are in a plane."""
+    try:
+        equations = ConvexHull(positions).equations
+    except (QhullError, ValueError):
+        return np.zeros(len(directions))
+    normals, height = equations[:, :3], -(equations[:, :3] @ centre + equations[:, 3])
+    if height.min() <= 0:
+        return np.zeros(len(directions))
+    slope = directions @ normals.T
+    return np.asarray(np.where(slope > 0, height / np.where(slope > 0, slope, 1), np.inf).min(axis=1))
 
 
 def _known_cells(grid: DirectionGrid, points: ColouredPoints) -> Bools:

@@ -6,13 +6,15 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from fourd.base.errors import UserError
 from fourd.base.files import write_text_atomically
-from fourd.base.limits import read_json
+from fourd.base.json_file import read_json_as
 from fourd.base.progress import Track, untracked
 from fourd.reconstruction.carving.coherence import frame_coherence
 from fourd.recording.capture.layout import sample_indices
@@ -109,22 +111,16 @@ class HullShare:
         poor: one line of text for each run of frames with poor mattes of one view, the worst first.
     """
 
-    kept_share: float
-    poor: tuple[str, ...]
+    kept_share: Annotated[float, Meta(ge=0, le=1)]
+    poor: tuple[Annotated[str, Meta(max_length=MAX_LINE)], ...]
 
 
 def read_hull_share(path: Path) -> HullShare | None:
     """Read the file that :meth:`MatteQuality.save` wrote. Returns None if it is missing or damaged."""
     try:
-        content = read_json(path)
+        return read_json_as(path, HullShare)
     except (OSError, ValueError, UserError):
         return None
-    if not isinstance(content, dict):
-        return None
-    share, poor = content.get("kept_share"), content.get("poor")
-    if not isinstance(share, int | float) or not 0 <= share <= 1 or not isinstance(poor, list):
-        return None
-    return HullShare(float(share), tuple(line for line in poor if isinstance(line, str) and len(line) <= MAX_LINE))
 
 
 def measure_mattes(

@@ -263,7 +263,7 @@ def _load(path: Path, *, missing_is_empty: bool = False) -> dict[str, Any]:
         if missing_is_empty:
             return {}
         raise UserError(f"{path}: expected the bounds of carved points, got no such file; run fourd carve") from error
-    except (UnicodeDecodeError, json.JSONDecodeError):
+    except ValueError:
         return {}
     return state if isinstance(state, dict) else {}
 

@@ -117,6 +117,8 @@ class StaticBackground:
         points: the background's points.
         plates: camera index in the capture -> clean plate. Only training cameras have an entry.
         near: depth of the near plane in world units.
+        cameras: all cameras of the capture, held-out cameras included.
+        static_near: depth before which no point of the background is in the image of one of ``cameras``.
         rig: the current cameras; if None, the cameras stored in ``plates`` are used.
     """
 
@@ -124,6 +126,8 @@ class StaticBackground:
     points: FramePoints
     plates: Mapping[int, PlateView]
     near: float
+    cameras: tuple[Camera, ...] = ()
+    static_near: float = 0.0
     rig: Rig | None = None
     _step: int = 0
     _cache: dict[int, _CachedPlate] = field(default_factory=dict)

@@ -10,16 +10,18 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
+from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from fourd.base.errors import UserError, one_line
 from fourd.base.files import UNFINISHED, atomic_path
+from fourd.base.json_file import Finite, decode_json
 from fourd.base.limits import open_regular, require_regular
 from fourd.reconstruction.training.run_layout import checkpoint_files, points_folder
 
@@ -28,8 +30,6 @@ KEPT = 2
 """Number of checkpoints that are kept on disk."""
 DIGEST_BYTES = 16
 MAX_SHOWN_MISMATCHES = 3
-MAX_STATE = 1e30
-"""Upper limit of the absolute values in :class:`SavedProgress`."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class SavedProgress:
         psnr: smoothed PSNR of the training steps in dB.
     """
 
-    seconds: float
-    psnr: float
+    seconds: Annotated[float, Meta(ge=0, lt=1e30)]
+    psnr: Finite
 
     def to_json(self) -> dict[str, float]:
         """Return the numbers as JSON data, for the argument ``state`` of :func:`save_checkpoint`."""
@@ -52,16 +52,10 @@ class SavedProgress:
     def from_json(cls, state: object, source: Path | str) -> SavedProgress:
         """Read the data that :meth:`to_json` returned. Raises UserError, with a message that names ``source``, if
         ``state`` has other content."""
-        values = [state.get(name) if isinstance(state, dict) else None for name in ("seconds", "psnr")]
-        seconds, psnr = (
-            value if isinstance(value, int | float) and abs(value) < MAX_STATE else None for value in values
-        )
-        if seconds is None or psnr is None or seconds < 0:
-            raise UserError(
-                f"{source}: expected training time and PSNR as numbers, got other content; "
-                "delete the file to resume from the previous checkpoint"
-            )
-        return cls(float(seconds), float(psnr))
+        try:
+            return decode_json(state, cls)
+        except ValueError as error:
+            raise UserError(f"{source}: {error}; delete the file to resume from the previous checkpoint") from error
 
 
 def checkpoint_path(folder: Path, step: int) -> Path:

@@ -79,6 +79,8 @@ class SceneConfig:
     contraction of space for the background's K-Planes causes no distortion."""
     near: float = 0.01
     """Depth of the near plane (see :mod:`fourd.reconstruction.training.points.near_plane`)."""
+    static_near: float | None = None
+    """Depth before which no camera of the capture shows a point of the background, or null if it is ``near``."""
 
 
 @dataclass(frozen=True)
@@ -165,14 +167,15 @@ class Run:
         """
         if self.config.train.scene != "full":
             return None
-        initial, near = read_ply(self.folder / BACKGROUND / POINTS), self.config.scene.near
-        kept = ~is_before_near(initial.xyz, self.capture.cameras, near)
+        scene, initial = self.config.scene, read_ply(self.folder / BACKGROUND / POINTS)
+        static_near = scene.static_near or scene.near
+        kept = ~is_before_near(initial.xyz, self.capture.cameras, static_near)
         initial = ColouredPoints(initial.xyz[kept], initial.rgb[kept])
         plates = dict(zip(self.training, read_run_plates(self.capture, self.training, self.folder), strict=True))
         torch.manual_seed(self.config.train.seed + 1)
-        background = create_background(initial, plates, self.config.train, self.contraction(), near)
+        background = create_background(initial, plates, self.config.train, self.contraction(), scene.near)
+        background.cameras, background.static_near = tuple(self.capture.cameras), static_near
         if self.config.train.background.shadow:
-            scene = self.config.scene
             background.model.shadow = ShadowField(np.asarray(scene.lower), np.asarray(scene.upper), scene.frame_count)
         if saved is not None:
             background.points = FramePoints.from_tensors(load_points(saved / f"{BACKGROUND}.safetensors"))

@@ -97,7 +97,7 @@ class Stepper:
                 views = _silhouettes(target.camera, target.matte, evaluated[0])
                 revert_moves_out_of_silhouettes(points, evaluated[0].rows, before[0], views)
             for each, start in zip(evaluated, before, strict=True):
-                revert_moves_before_near(each.cloud, each.rows, start, target.camera, self.scene.near)
+                revert_moves_before_near(each.cloud, each.rows, start, target.camera, self.scene.least_depth(each))
                 each.cloud.radius[each.rows] = each.evaluated.radius
                 each.cloud.density[each.rows] = each.evaluated.density
             shown, truth = (rendered.prediction, rendered.truth) if target.fills_picture else (colour, target.rgb)

@@ -67,7 +67,7 @@ def read_rate(capture: Path) -> Fraction | None:
             raise ValueError
     except FileNotFoundError:
         return None
-    except (ValueError, KeyError, TypeError, ZeroDivisionError, OSError) as error:
+    except (ValueError, KeyError, TypeError, OSError) as error:
         raise UserError(f"{path}: expected the frame rate of a capture, got other content; delete the file") from error
     return rate
 

@@ -66,7 +66,7 @@ def index_video(path: Path, parser: ParserProcess | None = None) -> VideoIndex:
             values = process.call("fourd.recording.capture.video:decode_in_child", path, more_seconds=seconds).value
     try:
         return index_from_json(values)
-    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+    except ValueError as error:
         raise damaged(path, error) from error
 
 

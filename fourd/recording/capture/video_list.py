@@ -282,7 +282,7 @@ def load_video(listing: Path, path: Path, entry: Entry | None, parser: ParserPro
             index = index_video(path, parser).reduce(index.scale)
         if index.frames > path.stat().st_size or index.width * index.height > MAX_PIXELS:
             raise ValueError
-    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise _damaged(listing, f"the index of {path.name}") from error
     return Video(path, index, offset)
 
@@ -317,7 +317,7 @@ def read_clock(path: Path) -> Fraction | None:
         rate = None if fps is None else read_fraction(fps)
         if rate is not None and not MIN_FPS <= rate <= MAX_FPS:
             raise ValueError
-    except (ValueError, TypeError, AttributeError, ZeroDivisionError) as error:
+    except (ValueError, TypeError, AttributeError) as error:
         raise _damaged(path, "the list of this capture's videos") from error
     return rate
 

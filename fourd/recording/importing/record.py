@@ -8,18 +8,21 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta
 
 from fourd.base.errors import UserError
 from fourd.base.files import is_unused, resolved, write_text_atomically
+from fourd.base.json_file import decode_json
 from fourd.base.limits import read_json
 from fourd.recording.capture.layout import DERIVED
 from fourd.recording.importing.imported import EncodedPictures, Imported, PictureFiles
 
 RECORD = DERIVED / "import.json"
 VERSION = 1
-MAX_NUMBER = 1e12
-"""Upper limit of the numbers in import.json. Valid offsets in frames and valid scales are far below this limit."""
+Number = Annotated[float, Meta(gt=-1e12, lt=1e12)]
+"""A number in import.json. Valid offsets in frames and valid scales are far below the limit."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class ImportRecord:
     calibration: str
     files: str
     options: dict[str, Any]
-    offsets: dict[str, float]
+    offsets: dict[str, Number]
     unpacked: bool
     done: bool
     warnings: tuple[str, ...]
@@ -63,26 +66,15 @@ def read_record(out: Path) -> ImportRecord | None:
         raise UserError(f"{out}: expected a new folder or the folder of an import, got {got}; name another folder")
     try:
         content = read_json(path)
-        if content.pop("version") != VERSION:
-            raise ValueError
-        record = ImportRecord(**content | {"warnings": tuple(content["warnings"])})
-        _check_types(record)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise UserError(f"{path}: expected the record of an import, got other content; name another folder") from error
+        record = decode_json(content, ImportRecord)
+        decode_json(record.options.get("reduce", 1), Number)
+        if content["version"] != VERSION:
+            raise ValueError(f"version: expected {VERSION}, got another version")
+    except (ValueError, KeyError) as error:
+        raise UserError(
+            f"{path}: expected the record of an import, got other content ({error}); name another folder"
+        ) from error
     return record
-
-
-def _check_types(record: ImportRecord) -> None:
-    """Raise TypeError if a field of a record that was read from a file has the wrong type."""
-    texts = (record.source, record.format, record.calibration, record.files, *record.warnings)
-    numbers = (record.options.get("reduce", 1), *record.offsets.values())
-    matches = all(isinstance(text, str) for text in texts) and all(_is_number(number) for number in numbers)
-    if not (matches and isinstance(record.unpacked, bool) and isinstance(record.done, bool)):
-        raise TypeError("expected the record of an import")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < MAX_NUMBER
 
 
 def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) -> None:

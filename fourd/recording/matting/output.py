@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fourd.base.files import UNFINISHED, remove_unfinished, write_text_atomically
-from fourd.base.limits import read_json
+from fourd.base.json_file import read_json_as
 from fourd.recording.capture.layout import DERIVED, MATTES
 
 VERSION = 6
@@ -45,13 +45,9 @@ class MatteState:
     def read(cls, capture: Path) -> MatteState:
         """Read the state of a capture. If the file is missing or damaged, all fields are None."""
         try:
-            content = read_json(capture / DERIVED / STATE)
+            state = read_json_as(capture / DERIVED / STATE, cls)
         except (OSError, ValueError):
             return cls()
-        if not isinstance(content, dict):
-            return cls()
-        texts = {name: content.get(name) for name in ("key", "model", "new", "chosen", "inputs")}
-        state = cls(**{name: text if isinstance(text, str) else None for name, text in texts.items()})
         return state if state.chosen in METHODS else replace(state, chosen=None)
 
     def write(self, capture: Path) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
+from fourd.rendering.ops.morton import MAX_BITS
 from fourd.rendering.ops.shade.harmonics import SH_TERMS
 
 Tier = Literal["full", "stream", "video", "light"]
@@ -21,6 +23,9 @@ SH_NUMBERS = 3 * SH_TERMS
 MAX_COLOUR_STEP = 127
 MAX_CODE = 255
 """Maximum code of a density or of a blend weight."""
+MIN_IMAGE_SCALE = 1 / 64
+Steps = Annotated[int, Meta(ge=1, le=1 << 16)]
+"""Number of codes for each doubling of a radius, or for each halving of a weight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,18 +55,29 @@ class CloudEncoding:
     """
 
     lower: NDArray[np.float64]
-    position_step: float
-    position_bits: int
-    radius_lower: float
-    radius_steps: int
-    density_levels: int
+    position_step: Annotated[float, Meta(ge=1e-30, lt=1e30)]
+    position_bits: Annotated[int, Meta(ge=1, le=MAX_BITS)]
+    radius_lower: Annotated[float, Meta(ge=1e-30, le=1e4)]
+    radius_steps: Steps
+    density_levels: Annotated[int, Meta(ge=1, le=MAX_CODE)]
     sh_basis: NDArray[np.float32]
     sh_mean: NDArray[np.float32]
-    sh_step: float
-    weight_steps: int
-    colour_step: int
+    sh_step: Annotated[float, Meta(ge=1e-9, le=1e3)]
+    weight_steps: Steps
+    colour_step: Annotated[int, Meta(ge=1, le=MAX_COLOUR_STEP)]
     every_point_has_colours: bool
-    image_scale: float | None = None
+    image_scale: Annotated[float, Meta(ge=MIN_IMAGE_SCALE, le=1)] | None = None
+
+    def __post_init__(self) -> None:
+        for name, count in (("lower", 3), ("sh_mean", SH_NUMBERS)):
+            if (found := getattr(self, name).shape) != (count,):
+                raise ValueError(f"{name}: expected {count} finite numbers, got an array of shape {found}")
+        if (size := self.sh_basis.size) % SH_NUMBERS or size > SH_NUMBERS**2:
+            raise ValueError(
+                f"sh_basis: expected at most {SH_NUMBERS} rows of {SH_NUMBERS} numbers, got {size} numbers"
+            )
+        # In a manifest, the rows are one list.
+        object.__setattr__(self, "sh_basis", self.sh_basis.reshape(-1, SH_NUMBERS))
 
     @property
     def code_bytes(self) -> int:

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
+import reprlib
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from fourd.rendering.ops.morton import MAX_BITS
-from fourd.scene.files.encoding import (
-    MAX_CODE,
-    MAX_COLOUR_STEP,
-    SH_NUMBERS,
-    TIERS,
-    CloudEncoding,
-    SceneEncoding,
-)
-from fourd.scene.files.json_node import JsonNode
+from fourd.base.json_file import decode_json
+from fourd.scene.files.encoding import CloudEncoding, SceneEncoding
 
-MAX_STEPS = 1 << 16
-"""Maximum number of codes for each doubling of a radius or of a weight."""
-MIN_IMAGE_SCALE = 1 / 64
+
+@dataclass(frozen=True)
+class _Packed:
+    encoding: SceneEncoding
 
 
 def encoding_to_json(encoding: SceneEncoding) -> dict[str, Any]:
@@ -28,10 +23,18 @@ def encoding_to_json(encoding: SceneEncoding) -> dict[str, Any]:
     return {"tier": encoding.tier, "dynamic": _cloud_to_json(encoding.dynamic), **background}
 
 
-def encoding_from_json(node: JsonNode, *, has_background: bool) -> SceneEncoding:
-    """Parse and check an encoding. Raises ManifestError."""
-    background = _cloud_from_json(node.node("background")) if has_background else None
-    return SceneEncoding(node.choice("tier", TIERS), _cloud_from_json(node.node("dynamic")), background)
+def encoding_from_json(manifest: dict[str, Any], *, has_background: bool) -> SceneEncoding:
+    """Parse and check the encoding in the JSON of a manifest. Raises ValueError."""
+    encoding = decode_json(manifest, _Packed).encoding
+    if not has_background:
+        encoding = replace(encoding, background=None)
+    elif encoding.background is None:
+        raise ValueError('encoding: expected a key "background", got none')
+    for name, cloud in (("dynamic", encoding.dynamic), ("background", encoding.background)):
+        rows = None if cloud is None else manifest["encoding"][name].get("sh_rows")
+        if cloud is not None and rows != len(cloud.sh_basis):
+            raise ValueError(f"encoding, {name}, sh_rows: expected {len(cloud.sh_basis)}, got {reprlib.repr(rows)}")
+    return encoding
 
 
 def _cloud_to_json(cloud: CloudEncoding) -> dict[str, Any]:
@@ -51,25 +54,6 @@ def _cloud_to_json(cloud: CloudEncoding) -> dict[str, Any]:
         "every_point_has_colours": cloud.every_point_has_colours,
         **({} if cloud.image_scale is None else {"image_scale": cloud.image_scale}),
     }
-
-
-def _cloud_from_json(node: JsonNode) -> CloudEncoding:
-    rows = node.integer("sh_rows", 0, SH_NUMBERS)
-    return CloudEncoding(
-        lower=node.array("lower", (3,)),
-        position_step=node.number("position_step", 1e-30, 1e30),
-        position_bits=node.integer("position_bits", 1, MAX_BITS),
-        radius_lower=node.number("radius_lower", 1e-30, 1e4),
-        radius_steps=node.integer("radius_steps", 1, MAX_STEPS),
-        density_levels=node.integer("density_levels", 1, MAX_CODE),
-        sh_basis=node.array("sh_basis", (rows, SH_NUMBERS)).astype(np.float32),
-        sh_mean=node.array("sh_mean", (SH_NUMBERS,)).astype(np.float32),
-        sh_step=node.number("sh_step", 1e-9, 1e3),
-        weight_steps=node.integer("weight_steps", 1, MAX_STEPS),
-        colour_step=node.integer("colour_step", 1, MAX_COLOUR_STEP),
-        every_point_has_colours=node.flag("every_point_has_colours"),
-        image_scale=node.number("image_scale", MIN_IMAGE_SCALE, 1) if "image_scale" in node.content else None,
-    )
 
 
 def _floats(values: np.ndarray[Any, np.dtype[np.float32]]) -> list[float]:

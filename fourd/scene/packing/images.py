@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.base.cameras import Camera
-from fourd.scene.files.encoding import CloudEncoding
-from fourd.scene.files.encoding_json import MIN_IMAGE_SCALE
+from fourd.scene.files.encoding import MIN_IMAGE_SCALE, CloudEncoding
 from fourd.scene.packed.images import (
     BLUE_FROM_CB,
     GREEN_FROM_CB,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from fourd.base.formats.ply import ColouredPoints
 from fourd.rendering.ops.shade.harmonics import SH_CONSTANT, SH_TERMS
@@ -54,6 +53,8 @@ class SplatFit:
 
 def cloud_from_points(points: ColouredPoints) -> SplatCloud:
     """Return round, opaque splats at coloured points, large enough to close the gaps between them."""
+    from scipy.spatial import cKDTree
+
     xyz, rgb = points
     sample = xyz[:: max(len(xyz) // _SAMPLES, 1)]
     distances = np.asarray(cKDTree(xyz).query(sample, k=2)[0])[:, 1] if len(xyz) > 1 else np.ones(1)

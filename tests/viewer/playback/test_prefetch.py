@@ -215,7 +215,7 @@ def test_frames_of_different_sizes_fit_together() -> None:
 def test_the_background_counts_towards_the_buffer() -> None:
     """Catches a buffer capacity that ignores the memory of the background."""
     source = CountedSource([10] * 12)
-    source.manifest = replace(source.manifest, kind="full", background=SceneBackground(30))
+    source.manifest = replace(source.manifest, kind="full", background=SceneBackground(30, shadow=False))
     prefetcher = FramePrefetcher(source, buffer_bytes=5 * frame_bytes(10) + frame_bytes(30) - 1)
     prefetcher.get(0, wait=True)
     reads_at_rest(source, 4)

@@ -36,6 +36,7 @@ from fourd.reconstruction.training.config import TrainConfig
 from fourd.reconstruction.training.points.near_plane import (
     fallback_near,
     feature_near,
+    is_before_near,
     visible_depths,
     write_static_near,
 )
@@ -139,7 +140,8 @@ def run_background(files: BackgroundFiles, settings: BackgroundSettings, context
         stereo = reconstruct_surfaces(plates, settings.seed, context.workers, context.track)
         near = feature_near(stereo.feature_depths)
         points = _find_points(plates, stereo, settings, near, context)
-        points = _add_shell(points, [plate.camera for plate in plates], context)
+        points = _add_shell(points, [plate.camera for plate in plates], cameras, context)
+        points = _drop_before_near(points, cameras, settings.near or near, context)
         points = _fill_holes(points, plates, settings.near or near or fallback_near(cameras), context)
     write_static_near(files.run, near)
     write_ply(target, points.xyz, points.rgb)
@@ -161,9 +163,25 @@ def _fill_holes(points: ColouredPoints, plates: Sequence[PlateView], near: float
     return filled
 
 
-def _add_shell(points: ColouredPoints, cameras: list[Camera], context: Context) -> ColouredPoints:
+def _drop_before_near(
+    points: ColouredPoints, cameras: Sequence[Camera], near: float | None, context: Context
+) -> ColouredPoints:
+    """Remove points that would stand close before a camera, held-out cameras included. The surfaces that cameras see
+    themselves are farther away, so such points are errors of the depths that other cameras give to a wall behind this
+    camera."""
+    if near is None:
+        return points
+    before = is_before_near(points.xyz, cameras, near)
+    if before.any():
+        context.log(f"background: {before.sum()} points less than {near:.3g} world units before a camera are removed")
+    return ColouredPoints(points.xyz[~before], points.rgb[~before])
+
+
+def _add_shell(
+    points: ColouredPoints, cameras: list[Camera], rig: Sequence[Camera], context: Context
+) -> ColouredPoints:
     """Add the shell, which fills the directions that no plate shows."""
-    shell = build_shell(points, cameras, viewing_centre(cameras), context.track)
+    shell = build_shell(points, cameras, viewing_centre(cameras), context.track, rig)
     share = direction_coverage(points, viewing_centre(cameras), cameras)
     context.log(
         f"background: the plates cover {share:.0%} of all directions around the scene; "

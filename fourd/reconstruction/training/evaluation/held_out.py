@@ -12,17 +12,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from fourd.base.cameras import Camera
 from fourd.base.errors import UserError
 from fourd.base.files import write_text_atomically
-from fourd.base.limits import read_json
+from fourd.base.json_file import read_json_as
 
 if TYPE_CHECKING:
     from fourd.reconstruction.training.config import HeldOutConfig
@@ -40,8 +41,9 @@ FAR_DEG = 45.0
 """If the nearest training camera is at least this angle away from a held-out one, a warning says that the cameras are
 too far apart."""
 _MAX_BYTES = 1 << 16
-_MAX_TEXT = 500
-_MAX_PSNR = 1e6
+_Count = Annotated[int, Meta(ge=0, lt=1 << 53)]
+_Number = Annotated[float, Meta(gt=-1e6, lt=1e6)]
+_Text = Annotated[str, Meta(max_length=500)]
 
 
 @dataclass(frozen=True)
@@ -77,15 +79,15 @@ class HeldOutScore:
         reason: for ``none``, why nothing can be held out.
     """
 
-    step: int
-    cameras: tuple[str, ...] = ()
+    step: _Count
+    cameras: tuple[_Text, ...] = ()
     kind: Literal["test", "left out", "none"] = "none"
-    psnr: float = 0.0
-    training_psnr: float = 0.0
-    images: int = 0
+    psnr: _Number = 0.0
+    training_psnr: _Number = 0.0
+    images: _Count = 0
     part: Literal["image", "box"] = "image"
-    nearest_deg: float = 0.0
-    reason: str = ""
+    nearest_deg: _Number = 0.0
+    reason: _Text = ""
 
     @property
     def gap_db(self) -> float:
@@ -158,20 +160,6 @@ def save_score(score: HeldOutScore, checkpoints: Path) -> None:
 def read_score(checkpoints: Path) -> HeldOutScore | None:
     """Read the score of a run. Returns None if the file is missing or damaged."""
     try:
-        content = read_json(checkpoints / NAME, _MAX_BYTES)
+        return read_json_as(checkpoints / NAME, HeldOutScore, _MAX_BYTES)
     except (OSError, ValueError, UserError):
         return None
-    if not isinstance(content, dict) or content.keys() != {field.name for field in fields(HeldOutScore)}:
-        return None
-    texts = (content["kind"], content["part"], content["reason"])
-    numbers = (content["psnr"], content["training_psnr"], content["nearest_deg"])
-    names = content["cameras"]
-    is_valid = (
-        all(type(content[name]) is int and 0 <= content[name] < 1 << 53 for name in ("step", "images"))
-        and all(type(number) in (int, float) and abs(number) < _MAX_PSNR for number in numbers)
-        and isinstance(names, list)
-        and all(isinstance(text, str) and len(text) <= _MAX_TEXT for text in (*texts, *names))
-        and content["kind"] in ("test", "left out", "none")
-        and content["part"] in ("image", "box")
-    )
-    return HeldOutScore(**{**content, "cameras": tuple(names)}) if is_valid else None

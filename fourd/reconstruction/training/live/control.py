@@ -6,11 +6,11 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from fourd.base.errors import UserError
 from fourd.base.files import write_text_atomically
-from fourd.base.limits import read_json
+from fourd.base.json_file import read_json_as
 from fourd.reconstruction.training.run_layout import LIVE
 
 CONTROL_NAME = "control.json"
@@ -65,12 +65,12 @@ class ControlReader:
         if version is None:
             return None
         try:
-            content = read_json(self._path, MAX_CONTROL_BYTES)
+            request = read_json_as(self._path, ControlRequest, MAX_CONTROL_BYTES)
         except (OSError, ValueError) as error:
-            raise self._refused(type(error).__name__) from error
-        request = _parse(content)
-        if request is None:
-            raise self._refused("other content")
+            raise UserError(
+                f"{self._path}: expected a session and one of {', '.join(ACTIONS)}, got other content ({error}); use "
+                "the buttons of fourd serve"
+            ) from error
         return request if request.session == self._session else None
 
     def _version(self) -> tuple[int, int, int] | None:
@@ -80,16 +80,3 @@ class ControlReader:
         except OSError:
             return None
         return status.st_ino, status.st_mtime_ns, status.st_size
-
-    def _refused(self, got: str) -> UserError:
-        return UserError(
-            f"{self._path}: expected a session and one of {', '.join(ACTIONS)}, got {got}; use the buttons of fourd "
-            "serve"
-        )
-
-
-def _parse(content: Any) -> ControlRequest | None:
-    if not isinstance(content, dict) or content.keys() != {"session", "action"}:
-        return None
-    session, action = content["session"], content["action"]
-    return ControlRequest(session, action) if isinstance(session, str) and action in ACTIONS else None

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import platform
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Literal
+
+from msgspec import Meta
 
 from fourd.base.errors import UserError
 from fourd.base.files import UNFINISHED, try_lock
+from fourd.base.json_file import decode_json
 from fourd.base.limits import read_json
 from fourd.reconstruction.training.run_layout import LIVE
 
@@ -24,14 +26,17 @@ if sys.platform != "win32":
 
 STATE_NAME = "state.json"
 MAX_STATE_BYTES = 1 << 14
-MAX_REASON = 500
-"""Maximum number of characters of each text in a :class:`TrainingState`."""
 SILENT_SECONDS = 60.0
 """A training process is assumed to have ended if the last state that it wrote is older than this number of seconds. The
 age is used only if the lock of the process cannot be tested, because the process runs on another machine or the system
 has no locks."""
 
+MAX_REASON = 500
+"""Maximum number of characters of each text in a :class:`TrainingState`."""
 Phase = Literal["training", "paused", "finished", "stopped", "failed"]
+Text = Annotated[str, Meta(max_length=MAX_REASON)]
+Count = Annotated[int, Meta(ge=0, lt=1 << 53)]
+Seconds = Annotated[float, Meta(ge=0, lt=1e30)]
 
 
 @dataclass(frozen=True)
@@ -51,16 +56,16 @@ class TrainingState:
         reason: the error if training failed, otherwise an empty text.
     """
 
-    session: str
-    host: str
+    session: Text
+    host: Text
     phase: Phase
-    step: int
-    seconds: float
-    spent: float
-    max_steps: int | None
+    step: Count
+    seconds: Seconds
+    spent: Annotated[float, Meta(ge=0, le=1)]
+    max_steps: Count | None
     is_held_out: bool
-    updated: float
-    reason: str = ""
+    updated: Seconds
+    reason: Text = ""
 
 
 def write_state(run: Path, state: TrainingState) -> None:
@@ -79,9 +84,10 @@ def read_state(run: Path) -> TrainingState | None:
     """Read the last state of a run. Returns None if the state file is missing or damaged."""
     try:
         content = read_json(run / LIVE / STATE_NAME, MAX_STATE_BYTES)
+        state = decode_json(content, TrainingState)
     except (OSError, ValueError, UserError):
         return None
-    return _parse(content)
+    return state if content.keys() == vars(state).keys() else None
 
 
 @contextmanager
@@ -130,22 +136,3 @@ def _is_locked(folder: Path) -> bool | None:
     finally:
         os.close(descriptor)
     return None if is_free is None else not is_free
-
-
-def _parse(content: Any) -> TrainingState | None:
-    """Convert JSON data to a state, or return None if a field is missing, has the wrong type or is out of range."""
-    names = {field.name for field in fields(TrainingState)}
-    if not isinstance(content, dict) or content.keys() != names:
-        return None
-    counts = (content["step"], 0 if content["max_steps"] is None else content["max_steps"])
-    numbers = (content["seconds"], content["spent"], content["updated"])
-    texts = (content["session"], content["host"], content["reason"])
-    is_valid = (
-        content["phase"] in get_args(Phase)
-        and all(type(count) is int and 0 <= count < 1 << 53 for count in counts)
-        and all(type(number) in (int, float) and math.isfinite(number) and number >= 0 for number in numbers)
-        and content["spent"] <= 1
-        and type(content["is_held_out"]) is bool
-        and all(isinstance(text, str) and len(text) <= MAX_REASON for text in texts)
-    )
-    return TrainingState(**content) if is_valid else None

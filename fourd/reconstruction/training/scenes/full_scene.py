@@ -98,6 +98,9 @@ class FullScene:
             return self.foreground.xyz_rate(points, factor)
         return self.config.background.xyz_rate * factor * points.cloud.spacing[points.rows][:, None]
 
+    def least_depth(self, points: OptimizedPoints) -> float:
+        return self.background.static_near if points.cloud is self.background.points else self.near
+
     def finish_step(self) -> None:
         self.background.count_step()
 
@@ -113,8 +116,7 @@ class FullScene:
             static = self.background.points
             is_in_picture = sample.is_plate or self.config.background.joint
             if is_in_picture and int(static.age) % config.background_every == 0:
-                cameras = [self.background.camera(index) for index in self.background.plates]
-                before = is_before_near(static.xyz.cpu().numpy(), cameras, self.near)
+                before = is_before_near(static.xyz.cpu().numpy(), self.background.cameras, self.background.static_near)
                 hidden = self.background.hidden_points() | torch.from_numpy(before).to(static.xyz.device)
                 densify(static, config, hidden, [*seed, BACKGROUND_SEED, int(static.age)])
                 self.background.clear_cache()

@@ -86,6 +86,9 @@ class ObjectScene:
             rate = rate / (1 + points.cloud.optimizer.steps[points.rows] / rates.xyz_halving_updates)
         return rate[:, None]
 
+    def least_depth(self, points: OptimizedPoints) -> float:
+        return self.near
+
     def finish_step(self) -> None:
         pass
 

@@ -119,6 +119,9 @@ class TrainingScene(Protocol):
         """Return the learning rates (M, 1) of M points' positions, in world units. ``factor`` is the factor by which
         the schedule multiplies all learning rates."""
 
+    def least_depth(self, points: OptimizedPoints) -> float:
+        """Return the depth in world units before which a step moves no point of a cloud."""
+
     def finish_step(self) -> None:
         """Notify the scene that a training step has ended and has updated the parameters."""
 

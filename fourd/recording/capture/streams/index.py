@@ -7,12 +7,14 @@ from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from math import floor
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
-from fourd.base.limits import printable, read_fraction
+from fourd.base.json_file import decode_json
+from fourd.base.limits import printable
 from fourd.recording.capture.streams.picture import HLG, PQ, reduced_size
 
 MIN_FPS, MAX_FPS = Fraction(1, 1000), 10_000
@@ -25,8 +27,8 @@ MAX_NOTES, MAX_NOTE = 16, 300
 MAX_ASPECT = 4
 FRACTIONS = ("start", "fps", "tick", "aspect")
 """Fields of an index that are stored in JSON as text, for example "30000/1001"."""
-LISTS = ("keyframes", "times", "order", "positions", "sizes", "decode_times")
-"""Fields of an index that are lists of integers."""
+Count = Annotated[int, Meta(ge=1, lt=1 << 62)]
+Integers = tuple[Annotated[int, Meta(ge=-(1 << 62), lt=1 << 62)], ...]
 
 
 @dataclass(frozen=True)
@@ -66,28 +68,28 @@ class VideoIndex:
         notes: statements for the user about the choices that were made when the index was created.
     """
 
-    width: int
-    height: int
-    frames: int
+    width: Count
+    height: Count
+    frames: Count
     start: Fraction
     fps: Fraction
-    keyframes: tuple[int, ...]
+    keyframes: Integers
     turn: int = 0
     transfer: str = ""
     scale: float = 1.0
     tick: Fraction = Fraction(1)
-    times: tuple[int, ...] = ()
-    stored_width: int = 1
-    stored_height: int = 1
+    times: Integers = ()
+    stored_width: Count = 1
+    stored_height: Count = 1
     aspect: Fraction = Fraction(1)
-    stream: int = 0
+    stream: Annotated[int, Meta(ge=0, lt=MAX_STREAMS)] = 0
     is_interlaced: bool = False
     is_strict: bool = False
     by_packets: bool = False
-    order: tuple[int, ...] = ()
-    positions: tuple[int, ...] = ()
-    sizes: tuple[int, ...] = ()
-    decode_times: tuple[int, ...] = ()
+    order: Integers = ()
+    positions: Integers = ()
+    sizes: Integers = ()
+    decode_times: Integers = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -171,20 +173,13 @@ def index_to_json(index: VideoIndex) -> dict[str, Any]:
 
 
 def index_from_json(values: Any) -> VideoIndex:
-    """Create an index from its JSON values. Raises TypeError, KeyError, ValueError or ZeroDivisionError if the values
-    are invalid."""
-    values = dict(values) | {name: read_fraction(values[name]) for name in FRACTIONS if name in values}
-    values |= {name: _integers(values.get(name, ())) for name in LISTS}
-    values["notes"] = tuple(printable(str(note))[:MAX_NOTE] for note in values.get("notes", ())[:MAX_NOTES])
-    index = VideoIndex(**values)
-    counts = (index.frames, index.width, index.height, index.stored_width, index.stored_height)
-    _integers((*counts, index.stream))
+    """Create an index from its JSON values. Raises ValueError if the values are invalid."""
+    index = decode_json(values, VideoIndex)
+    index = replace(index, notes=tuple(printable(note)[:MAX_NOTE] for note in index.notes[:MAX_NOTES]))
     is_turned = index.turn in (0, 90, 180, 270) and index.transfer in ("", HLG, PQ) and 0 < index.scale <= 1
     is_rate = MIN_FPS <= index.fps <= MAX_FPS and index.tick > 0 and Fraction(1, MAX_ASPECT) <= index.aspect
-    if min(counts) < 1 or not is_rate or not 0 <= index.stream < MAX_STREAMS or index.aspect > MAX_ASPECT:
-        raise ValueError("expected an index with frames")
-    if not all(isinstance(value, bool) for value in (index.is_interlaced, index.is_strict, index.by_packets)):
-        raise ValueError("expected truth values")
+    if not is_rate or index.aspect > MAX_ASPECT:
+        raise ValueError("expected frame rates and pixels in range")
     if not (is_turned and _is_in_order(index)) or (index.keyframes and index.keyframes[-1] >= index.frames):
         raise ValueError("expected frames in order")
     return index
@@ -200,10 +195,3 @@ def _is_in_order(index: VideoIndex) -> bool:
 
 def _ascending(index: VideoIndex) -> tuple[tuple[int, ...], ...]:
     return index.keyframes, index.times
-
-
-def _integers(values: Any) -> tuple[int, ...]:
-    for value in values:
-        if not isinstance(value, int) or isinstance(value, bool) or not -(1 << 62) <= value < 1 << 62:
-            raise ValueError("expected integers")
-    return tuple(values)
