@@ -2,6 +2,9 @@
 PYTHON ?= python3
 # Warnings are errors with WERROR=ON, for changes of csrc/. Newer compilers report more warnings.
 WERROR ?= OFF
+# GPU architectures of the CUDA kernels, for example 80, or OFF. Compiling them takes half of the time of a build, so by
+# default they are compiled only where an NVIDIA GPU is, and only for this GPU.
+CUDA_ARCHITECTURES ?= $(shell nvidia-smi -L >/dev/null 2>&1 && echo native || echo OFF)
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
@@ -22,10 +25,20 @@ help:
 	@echo "make install-locked  install packages with the hashes in requirements.lock; then use the targets above"
 	@echo "make clean      remove the environment and everything built"
 
+# A kernel build without its own environment, so that it uses the pinned versions of the build tools.
+ifeq ($(CUDA_ARCHITECTURES),OFF)
+CUDA_OPTION := cmake.define.FOURD_CUDA=OFF
+else
+CUDA_OPTION := cmake.define.CMAKE_CUDA_ARCHITECTURES=$(CUDA_ARCHITECTURES)
+endif
+BUILD := --no-build-isolation --config-settings cmake.define.FOURD_WERROR=$(WERROR) --config-settings $(CUDA_OPTION)
+# Python compiles modules at their first import. Compiling all of them in advance takes longer.
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --no-compile
+
 $(STAMP): pyproject.toml constraints.txt $(NATIVE)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet -c constraints.txt torch scikit-build-core nanobind cmake ninja
-	$(BIN)/pip install --quiet -c constraints.txt --no-build-isolation --config-settings cmake.define.FOURD_WERROR=$(WERROR) -e '.[train,dev,docs]'
+	$(PIP) -c constraints.txt pip torch scikit-build-core nanobind cmake ninja
+	$(PIP) -c constraints.txt $(BUILD) -e '.[train,viewer,splats,cluster,storage,onnx]' --group dev --group docs
 	touch $@
 
 install: $(STAMP)
@@ -34,9 +47,9 @@ install: $(STAMP)
 # different files of the same version.
 install-locked:
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --require-hashes --no-deps --only-binary :all: -r requirements.lock
-	$(BIN)/pip install --quiet -c constraints.txt torch
-	$(BIN)/pip install --quiet --no-deps --no-build-isolation --config-settings cmake.define.FOURD_WERROR=$(WERROR) -e .
+	$(PIP) --require-hashes --no-deps --only-binary :all: -r requirements.lock
+	$(PIP) -c constraints.txt torch
+	$(PIP) --no-deps $(BUILD) -e .
 	$(BIN)/pip check
 	touch $(STAMP)
 
@@ -84,7 +97,7 @@ fuzz: fuzz-readers install
 	$(BIN)/python tools/security/fuzz_kernels.py --seconds $(SECONDS) --optional
 
 fuzz-readers: install
-	$(BIN)/pip install --quiet -c constraints.txt atheris
+	$(PIP) -c constraints.txt atheris
 	$(BIN)/python -m tests.hostile.fuzz --seconds $(SECONDS)
 
 fuzz-kernels: install

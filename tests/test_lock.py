@@ -6,10 +6,11 @@ import re
 import tomllib
 from pathlib import Path
 
+from tools.security.lock import EXTRAS, GROUPS
+
 ROOT = Path(__file__).parents[1]
 UNLOCKED = {"torch", "fourd"}
 """Builds of torch for CPU and CUDA are different files of the same version."""
-EXTRAS = ("train", "dev", "docs")
 
 
 def locked() -> dict[str, list[str]]:
@@ -37,8 +38,10 @@ def test_every_package_has_hashes() -> None:
 
 def test_every_dependency_is_locked() -> None:
     """Catches a dependency in pyproject.toml that `make` would not install, because the lock is old."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    wanted = [*project["dependencies"], *(each for extra in EXTRAS for each in project["optional-dependencies"][extra])]
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    wanted = list(settings["project"]["dependencies"])
+    wanted += [each for extra in EXTRAS for each in settings["project"]["optional-dependencies"][extra]]
+    wanted += [each for group in GROUPS for each in settings["dependency-groups"][group]]
     names = {name_of(package) for package in locked()}
     missing = {name_of(requirement) for requirement in wanted} - names - UNLOCKED
     assert not missing, f"run tools/security/lock.py: {missing}"
@@ -54,3 +57,10 @@ def test_locked_versions_are_the_pinned_ones() -> None:
         versions.setdefault(name_of(package), set()).add(package.partition("==")[2])
     other = {name for name in versions.keys() & pinned.keys() if versions[name] != {pinned[name]}}
     assert not other, f"run tools/security/lock.py: {other}"
+
+
+def test_make_installs_what_is_locked() -> None:
+    """Catches a Makefile that installs other extras or groups than the lock has."""
+    makefile = (ROOT / "Makefile").read_text()
+    assert f"'.[{','.join(EXTRAS)}]'" in makefile
+    assert all(f"--group {group}" in makefile for group in GROUPS)

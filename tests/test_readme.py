@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from tests.baking.scenes import write_scene
 
@@ -40,5 +41,18 @@ def test_the_examples_of_playing_a_scene_run(tmp_path: Path, monkeypatch: pytest
 
 @pytest.mark.parametrize("link", re.findall(r"\]\(((?:docs|configs|tools)/[^)]*)\)", README.read_text()))
 def test_links_lead_somewhere(link: str) -> None:
-    """Catches a link in README.md to a page or an image that was renamed or never committed."""
-    assert (README.parent / link).is_file()
+    """Catches a link in README.md to a page, a heading or an image that was renamed or never committed."""
+    name, _, anchor = link.partition("#")
+    assert (README.parent / name).is_file()
+    if anchor:
+        headings = re.findall(r"^#+ (.+)$", (README.parent / name).read_text(encoding="utf-8"), re.MULTILINE)
+        assert anchor in {re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+
+
+def test_animations_are_small() -> None:
+    """Catches an animation that takes seconds to load, or that shows only one image."""
+    for name in re.findall(r"\((docs/figures/\w+\.webp)\)", README.read_text()):
+        path = README.parent / name
+        assert path.stat().st_size < 1.5e6, name
+        with Image.open(path) as image:
+            assert getattr(image, "n_frames", 1) > 20, name

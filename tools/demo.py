@@ -59,7 +59,7 @@ def draw_figure(scene_path: Path, capture_path: Path, out: Path) -> None:
     camera = capture.cameras[index].resize(FIGURE_HEIGHT, FIGURE_HEIGHT)
     matte = capture.mask(index, 0)[..., None] / 255
     truth = capture.image(index, 0) * matte + FIGURE_BACKGROUND * (1 - matte)
-    tiles = [_titled(cv2.resize(truth.astype(np.uint8), (FIGURE_HEIGHT, FIGURE_HEIGHT)), "photograph, held out")]
+    tiles = [_titled(cv2.resize(truth.astype(np.uint8), (FIGURE_HEIGHT, FIGURE_HEIGHT)), "ground truth, held out")]
     tiles.append(_titled(_rendered(scene, camera, 0), "fourd, same view"))
     focus = np.asarray(scene.manifest.focus)
     path = orbit(list(scene.manifest.cameras), 12, focus=focus, size=(FIGURE_HEIGHT, FIGURE_HEIGHT))

@@ -80,6 +80,9 @@ VIDEO_PACKAGE = "av"
 """The import name of the package PyAV. Some commands import PyAV only when they run."""
 TRAINING_PACKAGES = ("h5py", "pycolmap", "safetensors", "tensorboard", "torch", "xatlas")
 """Python packages of the extra ``fourd[train]``. Playing a scene does not need these packages."""
+VIEWER_PACKAGES = ("OpenGL", "glfw", "imgui_bundle")
+"""Import names of the packages of the extra ``fourd[viewer]``. Only windows need these packages."""
+WITHOUT_WINDOW = "pip install 'fourd[viewer]', or add --headless FILE.mp4 or --screenshot FILE.png"
 
 HELP = """fourd turns multi-view video of a moving scene into a 4D point scene.
 
@@ -209,6 +212,8 @@ def _report_errors(words: list[str]) -> int:
         package = (error.name or "").split(".")[0]
         if package == VIDEO_PACKAGE:
             return _fail(words[0], f"expected the package {package}, got none; install it: pip install {package}")
+        if package in VIEWER_PACKAGES:
+            return _fail(words[0], f"expected the packages for windows, but {package} is missing; {WITHOUT_WINDOW}")
         if package not in TRAINING_PACKAGES:
             raise
         missing = f"expected the training packages, but {package} is missing; pip install 'fourd[train]'"

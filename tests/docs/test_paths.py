@@ -80,16 +80,24 @@ def test_a_link_leads_to_a_file(page: str, link: str) -> None:
         assert path.exists() or path.relative_to(ROOT).as_posix() in GENERATED, f"{page} links to {link}"
 
 
-def test_readme_links_every_page() -> None:
-    """Catches a page that is not reachable from the README, and a lab page that the index of the lab notes omits."""
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+def test_the_overview_links_every_page() -> None:
+    """Catches a page that is reachable neither from the README nor from the overview, to which the README links, and a
+    lab page that the index of the lab notes omits."""
+    readme, overview = ROOT / "README.md", ROOT / "docs" / "start" / "overview.md"
     index = ROOT / "docs" / "lab" / "index.md"
-    listed = index.read_text(encoding="utf-8")
+    linked = {page: _links(page) for page in (readme, overview, index)}
+    assert overview in linked[readme]
     pages = sorted((ROOT / "docs").rglob("*.md"))
     lab = [page for page in pages if page.parent == index.parent and page != index]
-    others = [page.relative_to(ROOT).as_posix() for page in pages if page not in lab]
-    assert [page for page in others if f"({page})" not in readme] == []
-    assert [page.name for page in lab if f"({page.name})" not in listed] == []
+    reachable = linked[readme] | linked[overview]
+    assert [page for page in pages if page not in lab and page not in reachable] == []
+    assert [page for page in lab if page not in linked[index]] == []
+
+
+def _links(page: Path) -> set[Path]:
+    """The files to which a page links."""
+    targets = (link.partition("#")[0] for link in LINK.findall(page.read_text(encoding="utf-8")))
+    return {(page.parent / target).resolve() for target in targets if target and "://" not in target}
 
 
 def test_architecture_lists_the_packages_in_the_order_of_imports() -> None:

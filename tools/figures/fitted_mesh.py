@@ -1,5 +1,5 @@
-"""Draw, for a held-out view, the photo and the meshes of `fourd fit-triangles`: separate triangles, the connected mesh,
-and the connected mesh in grey.
+"""Draw, for a held-out view, the image of the capture and the meshes of `fourd fit-triangles`: separate triangles, the
+connected mesh, and the connected mesh in grey.
 
 python tools/figures/fitted_mesh.py CAPTURE VIEW SEPARATE.ply MESH.ply [...] -o fitted_mesh.jpg
 """
@@ -39,8 +39,8 @@ def shaded(mesh: ColouredMesh, camera: Camera) -> NDArray[np.float32]:
 
 
 def images_of(folder: Path, view: str, separate: Path, connected: Path) -> list[NDArray[np.float32]]:
-    """Return four images of a view: the photo, the mesh of separate triangles, the connected mesh, and the connected
-    mesh in grey. All images are cropped to the subject and scaled to the same height."""
+    """Return four images of a view: the image of the capture, the mesh of separate triangles, the connected mesh, and
+    the connected mesh in grey. All images are cropped to the subject and scaled to the same height."""
     capture = open_capture(folder)
     index = capture.names.index(view)
     camera, matte = capture.cameras[index], capture.mask(index, 0)

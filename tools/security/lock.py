@@ -19,7 +19,9 @@ ROOT = Path(__file__).parents[2]
 LOCK = "requirements.lock"
 PYTHON = "3.11"
 """The oldest Python version that pyproject.toml allows."""
-EXTRAS = ("train", "dev", "docs")
+EXTRAS = ("train", "viewer", "splats", "cluster", "storage", "onnx")
+GROUPS = ("dev", "docs")
+"""The extras and dependency groups that `make` installs."""
 BUILD = ("cmake", "ninja", "scikit-build-core", "nanobind")
 """Packages that are needed to build the kernels. `make` installs them in the same environment as fourd."""
 OF_TORCH = ("torch", "triton", "cuda-", "nvidia-")
@@ -33,9 +35,11 @@ HEADER = """\
 
 def main() -> int:
     uv = sys.argv[1] if len(sys.argv) > 1 else "uv"
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    project = settings["project"]
     wanted = [*project["dependencies"], *BUILD]
     wanted += [each for extra in EXTRAS for each in project["optional-dependencies"][extra]]
+    wanted += [each for group in GROUPS for each in settings["dependency-groups"][group]]
     words = [uv, "pip", "compile", "-", "--universal", "--python-version", PYTHON, "-c", "constraints.txt"]
     words += ["--generate-hashes", "--no-header", "--no-annotate", "--quiet"]
     result = subprocess.run(words, input="\n".join(wanted), cwd=ROOT, check=True, capture_output=True, text=True)

@@ -1,12 +1,12 @@
-"""Describe a file or folder: a scene, a capture, a run, points, a checkpoint or a video."""
+"""Describe a file or folder: a scene, a capture, a run, points, a checkpoint, a video, or (--system) this
+machine."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,8 +23,11 @@ from fourd.base.processes.isolation import ParserProcess
 from fourd.base.progress import Terminal
 from fourd.base.storage import Location, StorageUrl
 from fourd.cli.locations import PATH_OR_URL, scene_or_copy
+from fourd.cli.options import option
 from fourd.cli.outputs import READS
 from fourd.cli.scenes.capture_facts import quality_lines, split_and_masks
+from fourd.cli.scenes.info_values import bytes_text, names_text, numbers_text, sizes_text, span_text, vector_text
+from fourd.cli.scenes.system import describe_system
 from fourd.reconstruction.training.run_layout import CHECKPOINTS, checkpoint_files, segment_folders
 from fourd.recording.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.recording.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES, camera_folders
@@ -34,7 +37,6 @@ if TYPE_CHECKING:
 
 Rows = list[tuple[str, str]]
 
-_NAMES_SHOWN = 24
 _MOST_HEADER = 100 << 20
 _MOST_VALUE = 1e300
 CAPTURE_TITLE = "a multi-view capture"
@@ -46,30 +48,43 @@ _MOST_TEXT = 1000
 class Arguments:
     """The type of the file or folder is detected from its content. No file is changed."""
 
-    path: tyro.conf.Positional[Annotated[Location, READS, PATH_OR_URL, tyro.conf.arg(metavar="FILE|DIR")]]
+    path: tyro.conf.Positional[Annotated[Location | None, READS, PATH_OR_URL, option("[FILE|DIR]", "none")]] = None
     """A .4dv, .ply, .safetensors or video file, a capture folder or a run folder, or the URL of one."""
+    system: bool = False
+    """Describe this installation and this machine, for reports of problems."""
 
 
 def run(arguments: Arguments) -> None:
     """Detect the type, read the headers and print a table."""
-    with scene_or_copy(arguments.path) as path:
+    if arguments.system:
+        _print_table("this installation", describe_system())
+    if arguments.path is not None:
+        _describe_path(arguments.path)
+    elif not arguments.system:
+        raise UserError("FILE|DIR: expected a file or a folder, got none; name one, or add --system")
+
+
+def _describe_path(source: Location) -> None:
+    with scene_or_copy(source) as path:
         if isinstance(path, Path) and not path.exists():
             raise UserError(f"{path}: expected a file or a folder, got a path that does not exist; check the name")
         title, rows = _describe(path)
-    location = str(arguments.path)
-    heading = Text(f"{location}: {title}")
-    table = Table(title=heading, title_justify="left", show_header=False, box=None, pad_edge=False)
+    location = str(source)
+    # A file in an object store such as S3 is read from a local copy. Show the file's URL, because the user does not
+    # know the path of the copy.
+    _print_table(f"{location}: {title}", [(name, value.replace(str(path), location)) for name, value in rows])
+    if title == CAPTURE_TITLE:
+        # Not in the table, whose lines are broken at the width of the terminal.
+        Terminal().print(f"next: {command_line('fourd', 'check', source)}", soft_wrap=True)
+
+
+def _print_table(heading: str, rows: Rows) -> None:
+    table = Table(title=Text(heading), title_justify="left", show_header=False, box=None, pad_edge=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     for name, value in rows:
-        # A file in an object store such as S3 is read from a local copy. Show the file's URL, because the user does not
-        # know the path of the copy.
-        table.add_row(name, Text(value.replace(str(path), location)))
-    console = Terminal()
-    console.print(table)
-    if title == CAPTURE_TITLE:
-        # Not in the table, whose lines are broken at the width of the terminal.
-        console.print(f"next: {command_line('fourd', 'check', arguments.path)}", soft_wrap=True)
+        table.add_row(name, Text(value))
+    Terminal().print(table)
 
 
 def _describe(path: Location) -> tuple[str, Rows]:
@@ -128,27 +143,24 @@ def _scene(path: Location) -> Rows:
     points = manifest.points
     size = reader.size
     frames = manifest.frame_count
-    seconds = frames / manifest.fps
+    seconds, numbers = frames / manifest.fps, numbers_text(manifest.frame_numbers)
     lower, upper = manifest.bounds
     packed = "" if manifest.encoding is None else f"packed, tier {manifest.encoding.tier}, "
     background_bytes = manifest.background_nbytes if manifest.encoding is None else 0
     return [
         ("format", f"version {manifest.version}, {packed}made by {manifest.producer}"),
         ("kind", "the object on black" if manifest.kind == "object" else "object and background"),
-        (
-            "frames",
-            f"{frames} at {format_rate(manifest.fps)} per second, {seconds:.2f} s; {_numbers(manifest.frame_numbers)}",
-        ),
+        ("frames", f"{frames} at {format_rate(manifest.fps)} per second, {seconds:.2f} s; {numbers}"),
         *([] if manifest.is_fps_known else [("frame rate", "assumed: the scene does not state the recording's rate")]),
-        ("points", f"{_span(points)} per frame, {sum(points):,} in total"),
+        ("points", f"{span_text(points)} per frame, {sum(points):,} in total"),
         *_background(manifest.background),
-        ("size", f"{_bytes(size)}, {_bytes((size - background_bytes) / max(frames, 1))} per frame"),
-        ("source views", f"{manifest.view_count} ({manifest.neighbours} blended): {_names(manifest.source_names)}"),
-        ("other views", _names(manifest.other_names) or "none"),
-        ("image sizes", _sizes((camera.width, camera.height) for camera in manifest.cameras) or "none"),
+        ("size", f"{bytes_text(size)}, {bytes_text((size - background_bytes) / max(frames, 1))} per frame"),
+        ("source views", f"{manifest.view_count} ({manifest.neighbours} blended): {names_text(manifest.source_names)}"),
+        ("other views", names_text(manifest.other_names) or "none"),
+        ("image sizes", sizes_text((camera.width, camera.height) for camera in manifest.cameras) or "none"),
         ("layers", f"{manifest.layers} points composited per pixel"),
-        ("bounds", f"{_vector(lower)} to {_vector(upper)}, in world units"),
-        ("focus", _vector(manifest.focus)),
+        ("bounds", f"{vector_text(lower)} to {vector_text(upper)}, in world units"),
+        ("focus", vector_text(manifest.focus)),
     ]
 
 
@@ -166,8 +178,8 @@ def _splats(path: Path) -> Rows:
     lower, upper = manifest.bounds
     return [
         ("frames", str(manifest.frame_count)),
-        ("points", f"{_span(manifest.points)} per frame"),
-        ("bounds of most points", f"{_vector(lower)} to {_vector(upper)}, in world units"),
+        ("points", f"{span_text(manifest.points)} per frame"),
+        ("bounds of most points", f"{vector_text(lower)} to {vector_text(upper)}, in world units"),
     ]
 
 
@@ -176,12 +188,12 @@ def _points(path: Path) -> Rows:
     from fourd.scene.splats.ply import is_splat_ply
 
     xyz, rgb = read_ply(path)
-    rows = [("points", f"{len(xyz):,}"), ("size", _bytes(path.stat().st_size))]
+    rows = [("points", f"{len(xyz):,}"), ("size", bytes_text(path.stat().st_size))]
     if is_splat_ply(path):
         return [("kind", "Gaussian splats"), *rows]
     if len(xyz):
         mean = rgb.mean(axis=0)
-        rows.append(("bounds", f"{_vector(xyz.min(axis=0))} to {_vector(xyz.max(axis=0))}, in world units"))
+        rows.append(("bounds", f"{vector_text(xyz.min(axis=0))} to {vector_text(xyz.max(axis=0))}, in world units"))
         rows.append(("mean colour", f"red {mean[0]:.0f}, green {mean[1]:.0f}, blue {mean[2]:.0f} of 255"))
     return rows
 
@@ -206,7 +218,7 @@ def _checkpoint(path: Path) -> Rows:
         raise damaged from error
     if 8 + length + end != size:
         raise damaged
-    rows = [("size", _bytes(size)), ("tensors", f"{len(counts)}, {sum(counts):,} numbers")]
+    rows = [("size", bytes_text(size)), ("tensors", f"{len(counts)}, {sum(counts):,} numbers")]
     if isinstance(notes, dict):
         rows += [(key, str(notes[key])) for key in ("format", "step") if key in notes]
     return rows
@@ -237,7 +249,7 @@ def describe_video_in_child(name: str) -> Rows:
                 ("frames", f"{frames} at {format_rate(rate)} per second, {seconds:.2f} s"),
                 ("image size", _turned_size(path)),
                 ("codec", stream.codec_context.name),
-                ("size", _bytes(path.stat().st_size)),
+                ("size", bytes_text(path.stat().st_size)),
             ]
     except (av.FFmpegError, ValueError, OverflowError, OSError) as error:
         raise UserError(f"{path}: expected a whole video, got a damaged file; copy it again") from error
@@ -278,7 +290,7 @@ def _run(path: Path) -> Rows:
     rows += [("quality", line) for line in quality_lines(path)]
     rows += [("last measured", line) for line in _last_metrics(path / "metrics.jsonl")]
     rows.append(("first points", f"{sum(1 for _ in path.glob('hull/*.ply'))} frames"))
-    rows.append(("size", _bytes(sum(file.stat().st_size for file in path.rglob("*") if file.is_file()))))
+    rows.append(("size", bytes_text(sum(file.stat().st_size for file in path.rglob("*") if file.is_file()))))
     return rows
 
 
@@ -295,7 +307,7 @@ def _entry(node: yaml.Node | None, key: str) -> yaml.Node | None:
 def _text(node: yaml.Node | None) -> str:
     """Return the text of a YAML scalar, or of a list of scalars. The text is empty for null and for all other nodes."""
     if isinstance(node, yaml.SequenceNode):
-        return _names(_text(item) for item in node.value if isinstance(item, yaml.ScalarNode))
+        return names_text(_text(item) for item in node.value if isinstance(item, yaml.ScalarNode))
     if not isinstance(node, yaml.ScalarNode) or node.value in ("null", "~"):
         return ""
     return node.value if len(node.value) <= _MOST_TEXT else f"{node.value[:_MOST_TEXT]}..."
@@ -330,15 +342,15 @@ def _capture(path: Path) -> Rows:
         from fourd.recording.capture import open_capture
 
         with open_capture(path, partial_mattes=True) as capture:
-            rows.append(("cameras", f"{len(capture.names)}, calibrated: {_names(capture.names)}"))
+            rows.append(("cameras", f"{len(capture.names)}, calibrated: {names_text(capture.names)}"))
             rate = f" at {format_rate(capture.fps)} per second" if capture.fps else f", {UNKNOWN_RATE}"
-            rows.append(("frames", f"{capture.frame_count}{rate}; {_numbers(capture.frame_numbers)}"))
-            rows.append(("image sizes", _sizes((camera.width, camera.height) for camera in capture.cameras)))
+            rows.append(("frames", f"{capture.frame_count}{rate}; {numbers_text(capture.frame_numbers)}"))
+            rows.append(("image sizes", sizes_text((camera.width, camera.height) for camera in capture.cameras)))
             rows += split_and_masks(path, capture)
     else:
-        rows.append(("cameras", f"{len(folders)} in images/: {_names(folders)}" if folders else "none in images/"))
+        rows.append(("cameras", f"{len(folders)} in images/: {names_text(folders)}" if folders else "none in images/"))
         rows.append(("calibration", "yes" if calibrated else "none: training needs intri.yml and extri.yml"))
-    rows.append(("videos", _names(videos) or "none"))
+    rows.append(("videos", names_text(videos) or "none"))
     has_plates = (path / "bgs").is_dir() or (path / ".fourd" / "plates").is_dir()
     return [*rows, ("background plates", "yes" if has_plates else "none")]
 
@@ -359,42 +371,3 @@ def _parsed(text: bytes, parse: Callable[[bytes], Any], damaged: UserError) -> d
     if not isinstance(content, dict):
         raise damaged
     return content
-
-
-def _bytes(count: float) -> str:
-    for unit in ("B", "KB", "MB", "GB"):
-        if count < 1000:
-            return f"{count:.3g} {unit}" if count < 100 else f"{count:.0f} {unit}"
-        count /= 1000
-    return f"{count:.3g} TB"
-
-
-def _span(counts: tuple[int, ...]) -> str:
-    if not counts:
-        return "0"
-    low, high = min(counts), max(counts)
-    return f"{low:,}" if low == high else f"{low:,} to {high:,}"
-
-
-def _numbers(numbers: tuple[int, ...]) -> str:
-    return f"numbers {numbers[0]} to {numbers[-1]}" if numbers else "none"
-
-
-def _names(names: Iterable[str]) -> str:
-    listed = list(names)
-    more = len(listed) - _NAMES_SHOWN
-    return ", ".join(islice(listed, _NAMES_SHOWN)) + (f" and {more} more" if more > 0 else "")
-
-
-def _sizes(sizes: Iterable[tuple[int, int]]) -> str:
-    counts: dict[tuple[int, int], int] = {}
-    for size in sizes:
-        counts[size] = counts.get(size, 0) + 1
-    parts = [
-        f"{width} x {height}" + (f" ({count})" if len(counts) > 1 else "") for (width, height), count in counts.items()
-    ]
-    return ", ".join(parts[:4]) + (f" and {len(parts) - 4} more sizes" if len(parts) > 4 else "")
-
-
-def _vector(values: Iterable[float]) -> str:
-    return "(" + ", ".join(f"{float(value):.3g}" for value in values) + ")"

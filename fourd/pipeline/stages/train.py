@@ -14,6 +14,7 @@ from fourd.base.errors import MAX_REASON, UserError, one_line
 from fourd.base.files import resolved
 from fourd.base.formats.ply import read_ply
 from fourd.pipeline.stage import Context, Leftovers, Stage
+from fourd.pipeline.unused_gpu import tell_once
 from fourd.pipeline.workload import Workload
 from fourd.reconstruction.background.contraction import contraction_around
 from fourd.reconstruction.carving import read_bounds
@@ -102,12 +103,14 @@ def train_run(folder: Path, lpips_weights: Path | None, config: TrainConfig, con
 
 def _training_device(context: Context) -> torch.device:
     """Choose the device that trains. If it is a GPU, log its name. If "auto" selects the CPU although
-    torch finds a GPU, log the reason."""
+    there is a GPU, log the reason, and once how to use the GPU."""
     device = choose_device(context.device)
     if device.type == "cuda":
         context.log(f"device: training on {torch.cuda.get_device_name(device)}")
     elif context.device == "auto" and torch.cuda.is_available():
         context.log(f"device: training on the CPU, because the GPU cannot be used ({cuda_unavailable_reason()})")
+    if device.type == "cpu" and context.device == "auto":
+        tell_once(context.log)
     return device
 
 
