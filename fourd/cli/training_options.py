@@ -18,7 +18,7 @@ from fourd.base.progress import Terminal
 from fourd.base.storage import local_path
 from fourd.cli.options import FRAMES_HELP, VIEWS_HELP, LpipsWeights, describe, option, split_names
 from fourd.cli.outputs import READS
-from fourd.pipeline.stages.summary import RunSummary
+from fourd.pipeline.report.summary import RunSummary
 from fourd.reconstruction.training.config import TrainConfig
 from fourd.rendering.ops.gpu import DeviceName
 

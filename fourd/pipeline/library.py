@@ -7,9 +7,9 @@ from pathlib import Path
 from fourd.base.progress import Terminal
 from fourd.pipeline.graphs.run import RunRequest, stages_to_run
 from fourd.pipeline.make import make_scene, require_new_run
+from fourd.pipeline.report.summary import RunSummary
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
-from fourd.pipeline.stages.summary import RunSummary
 from fourd.reconstruction.training.cameras.selection import with_test_split
 from fourd.reconstruction.training.config import TrainConfig
 from fourd.reconstruction.training.run import Run, open_run

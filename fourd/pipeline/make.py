@@ -20,13 +20,13 @@ from fourd.pipeline.graphs.capture import needs_import
 from fourd.pipeline.graphs.plan import describe_plan
 from fourd.pipeline.graphs.run import RunRequest, stages_to_first_points
 from fourd.pipeline.graphs.scene import CALIBRATION, CAPTURE, REPAIRED, SceneStages
+from fourd.pipeline.report.decisions import describe_decisions
+from fourd.pipeline.report.summary import RunSummary, summarize_run
 from fourd.pipeline.runner import Execute, Runner, run_here
 from fourd.pipeline.segments import selected_frames
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.bake import BakeSettings
 from fourd.pipeline.stages.cameras.repair import repaired_capture
-from fourd.pipeline.stages.decisions import describe_decisions
-from fourd.pipeline.stages.summary import RunSummary, summarize_run
 from fourd.pipeline.stages.train import start_run
 from fourd.pipeline.still_scenes import stands_still, still_config
 from fourd.pipeline.stored.cache import cache_folder

@@ -22,9 +22,9 @@ from fourd.cli.training_options import TrainingOptions, print_summary
 from fourd.pipeline.fetch import fetch_stage, fetched_path
 from fourd.pipeline.graphs.run import RunRequest, stages_to_resume, stages_to_run
 from fourd.pipeline.make import require_new_run
+from fourd.pipeline.report.summary import summarize_run
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Context
-from fourd.pipeline.stages.summary import summarize_run
 from fourd.pipeline.stages.train import TrainFiles, require_divisible
 from fourd.reconstruction.training.cameras.selection import with_test_split
 from fourd.reconstruction.training.config import TrainConfig

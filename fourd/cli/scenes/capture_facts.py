@@ -25,7 +25,7 @@ def split_and_masks(path: Path, capture: Capture) -> list[tuple[str, str]]:
 
 def quality_lines(path: Path) -> Iterable[str]:
     """Yield the held-out quality of a run, and warnings about it."""
-    from fourd.pipeline.stages.summary import summarize_run
+    from fourd.pipeline.report.summary import summarize_run
 
     summary = summarize_run(path)
     return [*summary.lines, *(f"warning: {line}" for line in summary.warnings)] or ["no held-out score yet"]

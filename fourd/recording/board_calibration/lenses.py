@@ -13,7 +13,7 @@ from fourd.base.cameras import Camera
 from fourd.base.errors import UserError
 from fourd.recording.capture.calibration import read_intrinsics
 from fourd.recording.importing.folders import match_names, read_file
-from fourd.recording.importing.opencv_toml import camera_of_table
+from fourd.recording.importing.readers.opencv_toml import camera_of_table
 
 MAX_ASPECT_DIFFERENCE = 0.01
 """Maximum relative difference between the aspect ratio of the images for which a lens was calibrated and that of the

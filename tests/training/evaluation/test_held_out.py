@@ -13,7 +13,7 @@ import yaml
 
 from fourd.base.configs import save_config
 from fourd.pipeline.make import create_run
-from fourd.pipeline.stages.summary import summarize_run
+from fourd.pipeline.report.summary import summarize_run
 from fourd.reconstruction.training.config import HeldOutConfig
 from fourd.reconstruction.training.evaluation.held_out import (
     NAME,

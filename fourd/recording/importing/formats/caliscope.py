@@ -17,7 +17,7 @@ from fourd.base.cameras import Camera
 from fourd.base.errors import UserError
 from fourd.recording.importing.folders import find_frames, join_calibrations, list_entries, parse_numbers, read_head
 from fourd.recording.importing.imported import Imported
-from fourd.recording.importing.opencv_toml import camera_of_table, read_toml
+from fourd.recording.importing.readers.opencv_toml import camera_of_table, read_toml
 
 NAME = "camera_array.toml"
 HEAD_BYTES = 1 << 18

@@ -24,8 +24,8 @@ from fourd.recording.importing.folders import (
     match_names,
     picture_files,
 )
-from fourd.recording.importing.formats.colmap_model import Lens, Photo, model_suffix, read_model
 from fourd.recording.importing.imported import Frames, Imported, PictureFiles, VideoFile
+from fourd.recording.importing.readers.colmap_model import Lens, Photo, model_suffix, read_model
 
 MODEL_FOLDERS = (".", "sparse", "sparse/0", "colmap/sparse/0")
 IMAGE_FOLDERS = ("images", "input", ".")

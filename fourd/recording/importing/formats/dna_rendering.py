@@ -12,8 +12,8 @@ from pathlib import Path
 from fourd.base.cameras import Camera
 from fourd.base.errors import UserError
 from fourd.recording.importing.folders import list_entries, make_camera, read_head
-from fourd.recording.importing.formats.hdf5 import Hdf5File
 from fourd.recording.importing.imported import EncodedPictures, Imported, ImportedCamera
+from fourd.recording.importing.readers.hdf5 import Hdf5File
 
 SUFFIX = ".smc"
 ANNOTATIONS = "_annots.smc"

@@ -89,7 +89,7 @@ class Hdf5File:
 
     def _call(self, method: str, name: str, *arguments: object) -> Reply:
         return self._parser.call(
-            "fourd.recording.importing.formats.hdf5:read_in_child", self.path, method, name, *arguments
+            "fourd.recording.importing.readers.hdf5:read_in_child", self.path, method, name, *arguments
         )
 
     @contextmanager

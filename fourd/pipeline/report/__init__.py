@@ -1,0 +1,1 @@
+"""The last lines of ``fourd train`` and ``fourd make``."""
