@@ -36,6 +36,7 @@ CASES: dict[tuple[str, str], list[str]] = {
     ("view", "headless"): ["{in}", "--headless", "{out}"],
     ("view", "screenshot"): ["{in}", "--screenshot", "{out}"],
     ("web", "out"): ["{in}", "-o", "{out}"],
+    ("make", "web"): ["{in}", "-o", "scene.4dv", "--web", "{out}"],
     ("bench", "json"): ["--json", "{out}", "--quick"],
     ("bench", "markdown"): ["--markdown", "{out}", "--quick"],
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from fractions import Fraction
 from functools import cached_property
 from math import floor
@@ -174,6 +174,9 @@ def index_to_json(index: VideoIndex) -> dict[str, Any]:
 
 def index_from_json(values: Any) -> VideoIndex:
     """Create an index from its JSON values. Raises ValueError if the values are invalid."""
+    # An unknown field may change the meaning of the others, so the index is made again.
+    if isinstance(values, dict) and not values.keys() <= {each.name for each in fields(VideoIndex)}:
+        raise ValueError("expected the fields of an index")
     index = decode_json(values, VideoIndex)
     index = replace(index, notes=tuple(printable(note)[:MAX_NOTE] for note in index.notes[:MAX_NOTES]))
     is_turned = index.turn in (0, 90, 180, 270) and index.transfer in ("", HLG, PQ) and 0 < index.scale <= 1
