@@ -80,7 +80,7 @@ VIDEO_PACKAGE = "av"
 """The import name of the package PyAV. Some commands import PyAV only when they run."""
 TRAINING_PACKAGES = ("h5py", "pycolmap", "safetensors", "tensorboard", "torch", "xatlas")
 """Python packages of the extra ``fourd[train]``. Playing a scene does not need these packages."""
-VIEWER_PACKAGES = ("OpenGL", "glfw", "imgui_bundle")
+VIEWER_PACKAGES = ("glfw", "imgui_bundle")
 """Import names of the packages of the extra ``fourd[viewer]``. Only windows need these packages."""
 WITHOUT_WINDOW = "pip install 'fourd[viewer]', or add --headless FILE.mp4 or --screenshot FILE.png"
 

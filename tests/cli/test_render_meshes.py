@@ -20,7 +20,7 @@ from fourd.base.formats.ply_mesh import read_ply_mesh
 from fourd.cli.main import main
 from fourd.scene.meshes.source import is_mesh
 from tests.baking.meshes.shapes import plane, sphere
-from tests.cli.test_without_training_packages import run_without_training_packages
+from tests.cli.extras.test_without_training_packages import run_without_training_packages
 
 UP = np.array([0.3, -0.8, 0.5]) / np.linalg.norm([0.3, -0.8, 0.5])
 

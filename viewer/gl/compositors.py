@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from typing import Protocol
 
 import moderngl
+from OpenGL import GL
 
-from fourd.viewer import gl_functions
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.discs import Discs
 from fourd.viewer.gl.frame_textures import Precision
@@ -112,7 +112,7 @@ class PixelFilter:
         bottom, top = max(height - region.bottom - 1, 0), min(height - region.top + 1, height)
         target.use()
         unfiltered.use(0)
-        gl_functions.copy_to_texture(left, bottom, right - left, top - bottom)
+        GL.glCopyTexSubImage2D(GL.GL_TEXTURE_2D, 0, left, bottom, left, bottom, right - left, top - bottom)
         disable_blending(self._context)
         with _upright_viewport(target, region):
             self._pass.run({"image": unfiltered}, pixel_filter=request.manifest.pixel_filter)

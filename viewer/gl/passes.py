@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from types import TracebackType
 
 import moderngl
+import numpy as np
+from OpenGL import GL
 
-from fourd.viewer import gl_functions
 from fourd.viewer.gl.shaders import compile_program, set_uniforms
 
 
@@ -109,25 +110,25 @@ class SampleCounter:
     """
 
     def __init__(self) -> None:
-        self._query = gl_functions.make_queries(1)[0]
+        self._query = int(np.asarray(GL.glGenQueries(1)).ravel()[0])
 
     def __enter__(self) -> SampleCounter:
-        gl_functions.begin_query(gl_functions.SAMPLES_PASSED, self._query)
+        GL.glBeginQuery(GL.GL_SAMPLES_PASSED, self._query)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        gl_functions.end_query(gl_functions.SAMPLES_PASSED)
+        GL.glEndQuery(GL.GL_SAMPLES_PASSED)
 
     @property
     def samples(self) -> int:
         """The number of samples that were drawn in the last ``with`` block. Reading this property waits for the GPU."""
-        return gl_functions.query_value(self._query, gl_functions.QUERY_RESULT)
+        return int(np.asarray(GL.glGetQueryObjectuiv(self._query, GL.GL_QUERY_RESULT)).ravel()[0])
 
     def release(self) -> None:
         """Delete the query."""
-        gl_functions.delete_queries([self._query])
+        GL.glDeleteQueries(1, [self._query])
 
 
 def blend_under(context: moderngl.Context) -> None:

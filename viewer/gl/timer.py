@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from types import TracebackType
 
-from fourd.viewer import gl_functions
+import numpy as np
+from OpenGL import GL
 
 
 class GPUTimer:
@@ -16,31 +17,37 @@ class GPUTimer:
 
     def __init__(self) -> None:
         # Two queries are needed, because the GPU may report the time of one block only after the next has started.
-        self._queries = gl_functions.make_queries(2)
+        self._queries = [int(query) for query in np.asarray(GL.glGenQueries(2)).ravel()]
         self._pending: list[int] = []
         self._seconds = 0.0
 
     @property
     def seconds(self) -> float:
         """Duration of the last block whose result is known, in seconds. The duration is 0 before the first result."""
-        while self._pending and gl_functions.query_value(self._pending[0], gl_functions.QUERY_RESULT_AVAILABLE):
-            self._seconds = 1e-9 * gl_functions.query_value(self._pending.pop(0), gl_functions.QUERY_RESULT)
+        while self._pending and _value(self._pending[0], GL.GL_QUERY_RESULT_AVAILABLE):
+            self._seconds = 1e-9 * _value(self._pending.pop(0), GL.GL_QUERY_RESULT)
         return self._seconds
 
     def __enter__(self) -> GPUTimer:
         if len(self._pending) == len(self._queries):
             self._pending.pop(0)  # drop the oldest query, whose result is not available yet
         free = next(query for query in self._queries if query not in self._pending)
-        gl_functions.begin_query(gl_functions.TIME_ELAPSED, free)
+        GL.glBeginQuery(GL.GL_TIME_ELAPSED, free)
         self._pending.append(free)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        gl_functions.end_query(gl_functions.TIME_ELAPSED)
+        GL.glEndQuery(GL.GL_TIME_ELAPSED)
 
     def release(self) -> None:
         """Delete the queries."""
-        gl_functions.delete_queries(self._queries)
+        GL.glDeleteQueries(len(self._queries), self._queries)
         self._queries, self._pending = [], []
+
+
+def _value(query: int, name: int) -> int:
+    # PyOpenGL cannot call the 64-bit version of this function, because it has no array type for the result. 32 bits are
+    # enough for times of up to 4 s in nanoseconds.
+    return int(np.asarray(GL.glGetQueryObjectuiv(query, name)).ravel()[0])

@@ -49,15 +49,13 @@ def stages_to_capture(source: Path, imported: Path, options: ImportOptions) -> t
     Raises:
         UserError: if ``options`` contain a calibration, but ``source`` is a capture, which already has one.
     """
-    if needs_import(source, options) and (options.calibration is None or not is_usable(source)):
-        return (import_stage(source, imported, options),)
-    if options.calibration is not None:
+    if options.calibration is not None and is_usable(source):
         raise UserError(
             f"--calibration: expected videos without a calibration, got the capture {source}; leave out --calibration, "
             "or import the videos with: "
             + command_line("fourd", "import", "videos", source, "CAPTURE", "--calibration", options.calibration)
         )
-    return ()
+    return (import_stage(source, imported, options),) if needs_import(source, options) else ()
 
 
 def stages_to_hull_mattes(

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import re
 import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
@@ -13,25 +12,13 @@ import pytest
 
 from fourd.cli.main import TRAINING_PACKAGES
 from tests.baking.scenes import write_scene
+from tests.cli.extras.without import MAIN, run_without
 
-ROOT = Path(__file__).parents[2]
-
-BLOCKED_MAIN = f"""
-import sys
-
-class Blocked:
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in {TRAINING_PACKAGES!r}:
-            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
-
-sys.meta_path.insert(0, Blocked())
-from fourd.cli.main import main
-sys.exit(main())
-"""
+ROOT = Path(__file__).parents[3]
 
 
 def run_without_training_packages(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", BLOCKED_MAIN, *words], capture_output=True, text=True, check=False)
+    return run_without(TRAINING_PACKAGES, MAIN, *words)
 
 
 def test_scenes_play(tmp_path: Path) -> None:
