@@ -31,8 +31,8 @@ def _decisions(calibration: Path, imported: Path, repaired: Path, run: Path) -> 
     record = read_record(imported) if (imported / RECORD).is_file() else None
     if record is not None and record.options.get("sync_if_possible"):
         applied = ", ".join(f"{name} {frames:+g}" for name, frames in record.offsets.items() if frames)
-        found = f"{applied} frames" if applied else "none applied"
-        yield f"time offsets between the videos: {found}; --sync none applies none, fourd import --offset sets them"
+        found = f"{applied} frames; --sync none applies none" if applied else "none is sure enough to be applied"
+        yield f"time offsets between the videos: {found}; fourd import --offset sets them"
     if config.capture.resolve() == repaired.resolve():
         yield f"cameras: the calibration was corrected ({repaired}); fourd train on the capture uses it uncorrected"
     if (run / COLOURS).is_dir():
