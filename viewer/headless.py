@@ -104,7 +104,8 @@ def _cameras_along_path(
         return cameras, [min(max(sample.frame, 0), last) for sample in recorded.samples], recorded.fps
     count = steps or max(MIN_STEPS, manifest.frame_count)
     if manifest.cameras:
-        cameras = camera_path(kinds[path], manifest.cameras, manifest.focus, count, size=size)
+        is_whole = manifest.background is not None
+        cameras = camera_path(kinds[path], manifest.cameras, manifest.focus, count, size=size, is_whole=is_whole)
     else:
         start = scene.initial_pose(size)
         cameras = [start.orbit(2 * np.pi * step / count, 0.0).camera(*size) for step in range(count)]

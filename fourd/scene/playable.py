@@ -34,6 +34,10 @@ class Playable(Protocol):
         """Centre of the scene in world units, (3,)."""
 
     @property
+    def is_whole(self) -> bool:
+        """Whether the scene has surroundings, and not only a subject."""
+
+    @property
     def frame_numbers(self) -> tuple[int, ...]:
         """For each frame, its number in the capture."""
 
@@ -69,6 +73,10 @@ class PlayableScene:
         return np.asarray(self.scene.manifest.focus)
 
     @property
+    def is_whole(self) -> bool:
+        return self.scene.manifest.background is not None
+
+    @property
     def frame_numbers(self) -> tuple[int, ...]:
         return self.scene.manifest.frame_numbers
 
@@ -97,6 +105,10 @@ class PlayableRun:
     @property
     def focus(self) -> NDArray[np.float64]:
         return self.trained.run.focus
+
+    @property
+    def is_whole(self) -> bool:
+        return self.trained.run.config.train.scene == "full"
 
     @property
     def frame_numbers(self) -> tuple[int, ...]:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from fourd.base.cameras import look_at
+from fourd.base.convex_hull import distance_to_hull
 from fourd.base.formats.ply import ColouredPoints
-from fourd.reconstruction.background.shell import build_shell, distance_to_hull
+from fourd.reconstruction.background.shell import build_shell
 from tests.captures import ring_cameras, sphere
 
 CENTRE = np.array([0.3, -0.2, 0.1])

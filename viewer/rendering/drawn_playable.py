@@ -83,6 +83,10 @@ class DrawnPlayable:
         return self.plain.focus
 
     @property
+    def is_whole(self) -> bool:
+        return self.plain.is_whole
+
+    @property
     def frame_numbers(self) -> tuple[int, ...]:
         return self.plain.frame_numbers
 

@@ -146,7 +146,7 @@ def _write_path(arguments: Arguments, playable: Playable, frames: list[int], fps
     assert arguments.path is not None
     steps = arguments.steps or max(120, len(frames))
     views = list(playable.views.values())
-    cameras = camera_path(arguments.path, views, playable.focus, steps, size=arguments.size)
+    cameras = camera_path(arguments.path, views, playable.focus, steps, size=arguments.size, is_whole=playable.is_whole)
     jobs = [("", camera, frames[step % len(frames)]) for step, camera in enumerate(cameras)]
     pictures = (_rgb(playable, camera, frame, arguments) for _, camera, frame in _track(jobs, console))
     if is_video(arguments.out):

@@ -11,9 +11,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filter, maximum_filter1d
-from scipy.spatial import ConvexHull, QhullError
 
 from fourd.base.cameras import Camera
+from fourd.base.convex_hull import distance_to_hull
 from fourd.base.formats.ply import ColouredPoints
 from fourd.base.progress import Track, untracked
 from fourd.reconstruction.background.height_profile import height_profile
@@ -103,20 +103,6 @@ def build_shell(
     kept = ~is_sparse & ~occludes(xyz, points.xyz.astype(np.float64), cameras)
     colours = np.clip(np.rint(rgb[kept]), 0, 255).astype(np.uint8)
     return ColouredPoints(xyz[kept].astype(np.float32), colours)
-
-
-def distance_to_hull(directions: Array, positions: Array, centre: Array) -> Array:
-    """Return the distances (N,) from ``centre`` along the unit vectors ``directions`` (N, 3) to the convex hull of the
-    ``positions`` (M, 3). They are 0 if the hull does not contain the centre, or if the positions are in a plane."""
-    try:
-        equations = ConvexHull(positions).equations
-    except (QhullError, ValueError):
-        return np.zeros(len(directions))
-    normals, height = equations[:, :3], -(equations[:, :3] @ centre + equations[:, 3])
-    if height.min() <= 0:
-        return np.zeros(len(directions))
-    slope = directions @ normals.T
-    return np.asarray(np.where(slope > 0, height / np.where(slope > 0, slope, 1), np.inf).min(axis=1))
 
 
 def _known_cells(grid: DirectionGrid, points: ColouredPoints) -> Bools:

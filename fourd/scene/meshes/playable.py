@@ -56,6 +56,10 @@ class PlayableMeshes:
         self.fps = DEFAULT_FPS
 
     @property
+    def is_whole(self) -> bool:
+        return False
+
+    @property
     def frame_numbers(self) -> tuple[int, ...]:
         return self._source.frame_numbers
 

@@ -8,8 +8,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fourd.base.cameras import Camera
+from fourd.base.cameras import Camera, look_at
 from fourd.viewer.navigation.paths import (
+    PathKind,
+    camera_path,
     estimate_focus,
     estimate_up,
     fit_camera,
@@ -35,6 +37,37 @@ def test_paths_face_the_focus_and_loop(make: Callable[..., list[Camera]]) -> Non
         assert np.abs(pixel[0] - 32).max() < 1
         assert 1.5 < depth[0] < 2.8
         assert -camera.rotation[1] @ estimate_up(cameras) > 0.5
+
+
+@pytest.mark.parametrize("kind", ["orbit", "spiral"])
+def test_a_path_in_a_whole_scene_stays_in_the_room(kind: PathKind) -> None:
+    """Catches an orbit through the walls: the median distance of cameras in the corners of a box is larger than the
+    distance to its walls. Views from behind a wall were dark."""
+    corners = [np.array([x, y, z]) for x in (-3.0, 3.0) for y in (-2.5, 2.5) for z in (-1.5, 1.5)]
+    middles = [np.array([x, y, 0.0]) for x, y in ((3.0, 0.5), (-3.0, 0.5), (0.2, 2.5), (0.2, -2.5))]
+    intrinsics = np.array([[60.0, 0, 32], [0, 60, 32], [0, 0, 1]])
+    cameras = [look_at(at, np.zeros(3), np.array([0.0, 0, 1]), intrinsics, 64, 64) for at in corners + middles]
+    inside = camera_path(kind, cameras, np.zeros(3), 40, is_whole=True)
+    for camera in inside:
+        assert (np.abs(camera.centre) < [3.0, 2.5, 1.5]).all()
+        pixel, depth = camera.project(np.zeros((1, 3)))
+        assert np.abs(pixel[0] - 32).max() < 1e-6
+        assert depth[0] > 1.5
+    subject = camera_path(kind, cameras, np.zeros(3), 40)
+    assert max(abs(camera.centre[1]) for camera in subject) > 2.5
+
+
+def test_a_path_around_a_flat_ring_keeps_its_distance() -> None:
+    """Catches an orbit that moves into the subject because the hull of a flat ring of cameras is no room."""
+    intrinsics = np.array([[60.0, 0, 32], [0, 60, 32], [0, 0, 1]])
+    azimuths = np.radians([0.0, 40, 90, 130, 170, 220, 270, 310])
+    centres = [
+        np.array([3 * np.cos(angle), 3 * np.sin(angle), 0.1 * (-1) ** index]) for index, angle in enumerate(azimuths)
+    ]
+    cameras = [look_at(at, np.zeros(3), np.array([0.0, 0, 1]), intrinsics, 64, 64) for at in centres]
+    whole = camera_path("spiral", cameras, np.zeros(3), 12, is_whole=True)
+    plain = camera_path("spiral", cameras, np.zeros(3), 12)
+    assert all(np.array_equal(a.centre, b.centre) for a, b in zip(whole, plain, strict=True))
 
 
 def test_interpolation_passes_through_the_cameras() -> None:
