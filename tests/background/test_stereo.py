@@ -17,7 +17,7 @@ from fourd.reconstruction.background.surfaces.surface_sampling import sample_sur
 from fourd.recording.stereo.fusion import Surface, fuse_depth_maps
 from fourd.recording.stereo.patches import GreyView, Grid, PatchSimilarity, index_intrinsics
 from fourd.recording.stereo.patchmatch import DepthMap
-from fourd.recording.stereo.plane_hypotheses import find_large_planes, plane_in_view, triangle_planes
+from fourd.recording.stereo.plane_hypotheses import PLANE_TOLERANCE, find_large_planes, plane_in_view, triangle_planes
 from fourd.recording.stereo.source_selection import select_sources
 
 WIDTH, HEIGHT = 96, 72
@@ -318,7 +318,7 @@ def test_large_planes_among_outliers(rng: np.random.Generator) -> None:
     floor = np.column_stack([rng.uniform(-2, 2, (80, 2)), rng.normal(0, 0.002, 80)])
     wall = np.column_stack([rng.normal(2, 0.002, 60), rng.uniform(0, 2, (60, 2))])
     xyz = np.vstack([floor, wall, rng.uniform(-2, 2, (60, 3))])
-    first, second = find_large_planes(xyz, np.ones(len(xyz)), 4.0, rng)[:2]
+    first, second = find_large_planes(xyz, np.ones(len(xyz)), 4.0 * PLANE_TOLERANCE, rng)[:2]
     assert abs(first[2]) > 0.999
     assert abs(first[3]) < 0.01
     assert abs(second[0]) > 0.999

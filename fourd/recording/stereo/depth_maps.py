@@ -19,7 +19,7 @@ from fourd.base.progress import Track
 from fourd.recording.stereo.fusion import Surface, fuse_depth_maps
 from fourd.recording.stereo.patches import Floats, GreyView, Grid
 from fourd.recording.stereo.patchmatch import DepthMap, estimate_depth_map
-from fourd.recording.stereo.plane_hypotheses import find_large_planes, plane_in_view, triangle_planes
+from fourd.recording.stereo.plane_hypotheses import PLANE_TOLERANCE, find_large_planes, plane_in_view, triangle_planes
 from fourd.recording.stereo.source_selection import select_sources
 from fourd.recording.stereo.sparse import SparsePoints, triangulate_sparse
 from fourd.recording.stereo.view import StereoView
@@ -149,7 +149,9 @@ def _estimate_maps(
     kept = features.reliable if features.reliable.sum() >= MIN_RELIABLE else np.ones(len(features.xyz), bool)
     distances = np.concatenate([np.linalg.norm(features.xyz[kept] - camera.centre, axis=1) for camera in cameras])
     rng = np.random.default_rng(seed)
-    planes = find_large_planes(features.xyz, features.seen.sum(axis=1) - 1.0, float(np.median(distances)), rng)
+    planes = find_large_planes(
+        features.xyz, features.seen.sum(axis=1) - 1.0, PLANE_TOLERANCE * float(np.median(distances)), rng
+    )
     ranges = _depth_ranges(cameras, features.xyz[kept])
     jobs = []
     for index, (nearest, farthest) in enumerate(ranges):

@@ -17,12 +17,12 @@ MIN_INLIER_WEIGHT = 12
 """Minimum sum of the weights of a plane's inliers. The weights of points are an argument of
 :func:`find_large_planes`."""
 RANSAC_TRIALS = 500
-TOLERANCE = 0.003
-"""Maximum distance of a plane's inliers from the plane, as a multiple of the typical distance between cameras and
+PLANE_TOLERANCE = 0.003
+"""Usual maximum distance of a plane's inliers from the plane, as a multiple of the typical distance between cameras and
 points."""
 
 
-def find_large_planes(xyz: Array, weights: Array, distance: float, rng: np.random.Generator) -> Array:
+def find_large_planes(xyz: Array, weights: Array, tolerance: float, rng: np.random.Generator) -> Array:
     """Find dominant planes of N points by sequential RANSAC.
 
     A plane is accepted only if the weights of its inliers sum to at least MIN_INLIER_WEIGHT.
@@ -30,7 +30,7 @@ def find_large_planes(xyz: Array, weights: Array, distance: float, rng: np.rando
     Args:
         xyz: (N, 3) world points.
         weights: (N,) weight of each point.
-        distance: typical distance of points from the cameras in world units.
+        tolerance: maximum distance of a plane's inliers from the plane in world units.
         rng: random generator.
 
     Returns:
@@ -45,7 +45,7 @@ def find_large_planes(xyz: Array, weights: Array, distance: float, rng: np.rando
         lengths = np.linalg.norm(normals, axis=1)
         normals = normals[lengths > 0] / lengths[lengths > 0, None]
         offsets = (normals * a[lengths > 0]).sum(axis=1)
-        near = np.abs(points @ normals.T - offsets) < TOLERANCE * distance
+        near = np.abs(points @ normals.T - offsets) < tolerance
         inlier_weights = counts @ near
         if not len(inlier_weights) or inlier_weights.max() < MIN_INLIER_WEIGHT:
             break
@@ -53,7 +53,7 @@ def find_large_planes(xyz: Array, weights: Array, distance: float, rng: np.rando
         centroid = inliers.mean(axis=0)
         normal = np.linalg.svd(inliers - centroid)[2][2]
         planes.append([*normal, normal @ centroid])
-        remaining &= np.abs(xyz @ normal - normal @ centroid) >= 3 * TOLERANCE * distance
+        remaining &= np.abs(xyz @ normal - normal @ centroid) >= 3 * tolerance
     return np.array(planes).reshape(-1, 4)
 
 

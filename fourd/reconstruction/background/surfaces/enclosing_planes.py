@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fourd.base.cameras import Camera
 from fourd.recording.stereo.patches import Grid
-from fourd.recording.stereo.plane_hypotheses import find_large_planes, plane_in_view
+from fourd.recording.stereo.plane_hypotheses import PLANE_TOLERANCE, find_large_planes, plane_in_view
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -47,7 +47,9 @@ class EnclosingPlanes:
         found = []
         if len(some) >= 3:
             distances = np.linalg.norm(some - middle, axis=1)
-            for plane in find_large_planes(some, np.ones(len(some)), float(np.median(distances)), rng):
+            for plane in find_large_planes(
+                some, np.ones(len(some)), PLANE_TOLERANCE * float(np.median(distances)), rng
+            ):
                 sides = centres @ plane[:3] - plane[3]
                 before = np.sign(np.median(sides)) * (some @ plane[:3] - plane[3]) / np.maximum(distances, 1e-12)
                 on, beyond = (np.abs(before) < TOLERANCE).mean(), (before < -TOLERANCE).mean()

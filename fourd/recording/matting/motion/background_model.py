@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.recording.matting.channels import channel_sum
+from fourd.recording.matting.shadows.floor_light import FloorLight
+from fourd.recording.matting.shadows.observed_light import ObservedLight
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
@@ -30,6 +32,13 @@ CONFIDENT_FRAMES = 3.0
 """The confidence of a pixel's background colour is 1 if the total weight of the frames in which the pixel has this
 colour is at least CONFIDENT_FRAMES."""
 LOG_TWO_PI = float(np.log(2 * np.pi))
+MAX_LIGHT_RESIDUAL = np.float32(14.0)
+"""A colour is the background's colour in another light if their squared difference, in units of the variance and summed
+over the channels, is below this value. For Gaussian noise, 0.3% of the pixels are above it."""
+MIN_LIGHT_CONFIDENCE = np.float32(0.5)
+LIGHT_SPREAD = np.float32(0.04)
+"""Standard deviation of the light on the floor in one camera from the light that all cameras agree on."""
+MIN_LIGHT_PROBABILITY = np.float32(0.01)
 
 
 @dataclass(frozen=True)
@@ -66,13 +75,40 @@ class BackgroundModel:
         that have this colour, up to 1 at the weight CONFIDENT_FRAMES."""
         return np.clip(self.frames / CONFIDENT_FRAMES, 0, 1)
 
-    def log_likelihood(self, rgb: Picture, shaded_share: float = Deviations.shaded) -> Floats:
+    def log_likelihood(
+        self, rgb: Picture, shaded_share: float = Deviations.shaded, floor: FloorLight | None = None
+    ) -> Floats:
         """Return the log density (h, w) of each pixel's colour in an image (h, w, 3), over 8-bit RGB space.
 
-        ``shaded_share`` is the probability that the background at a pixel is in shadow or in reflected light.
+        ``shaded_share`` is the probability that the background at a pixel is in shadow or in reflected light. ``floor``
+        is the light on the floor that the cameras agree on, or None.
         """
         plain, shaded = self.plain_and_shaded(rgb)
-        return np.maximum(np.maximum(plain, shaded + np.float32(np.log(shaded_share))), MIN_LOG_LIKELIHOOD)
+        likelihood = np.maximum(plain, shaded + np.float32(np.log(shaded_share)))
+        if floor is not None:
+            in_light = self._log_likelihood_in_light(rgb, floor.light)
+            in_light += np.log(np.maximum(floor.probability, np.float32(1e-6)))
+            is_floor = floor.probability > MIN_LIGHT_PROBABILITY
+            likelihood = np.where(is_floor, np.maximum(likelihood, in_light), likelihood)
+        return np.maximum(likelihood, MIN_LOG_LIKELIHOOD)
+
+    def observed_light(self, rgb: Picture) -> ObservedLight:
+        """Compare the colours of an image (h, w, 3) with the background's."""
+        inverse: Floats = (1 / self.variance).astype(np.float32)
+        value: Floats = rgb.astype(np.float32)
+        weighted = self.mean * inverse
+        precision = np.maximum(channel_sum(self.mean * weighted), np.float32(1e-3))
+        light = (channel_sum(value * weighted) / precision).astype(np.float32)
+        residual = channel_sum(np.square(value - light[..., None] * self.mean) * inverse)
+        is_known = self.confidence > MIN_LIGHT_CONFIDENCE
+        return ObservedLight(light, is_known & (residual < MAX_LIGHT_RESIDUAL), is_known)
+
+    def _log_likelihood_in_light(self, rgb: Picture, light: Floats) -> Floats:
+        """Return the log density (h, w) of each pixel's colour if the light (h, w) on the background is known."""
+        variance = self.variance + np.square(LIGHT_SPREAD * self.mean)
+        difference = rgb.astype(np.float32) - light[..., None] * self.mean
+        distance = channel_sum(np.square(difference) / variance + np.log(variance))
+        return np.asarray(-0.5 * distance - np.float32(1.5 * LOG_TWO_PI), np.float32)
 
     def plain_and_shaded(self, rgb: Picture) -> tuple[Floats, Floats]:
         """Return two log densities (h, w) of each pixel's colour in an image (h, w, 3): one for an unshaded background

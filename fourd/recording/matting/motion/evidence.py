@@ -15,6 +15,7 @@ from fourd.recording.matting.motion.agreement import NO_CELL_LOG_ODDS, VoxelGrid
 from fourd.recording.matting.motion.background_model import BackgroundModel, Deviations
 from fourd.recording.matting.motion.colour_models import ColourHistogram
 from fourd.recording.matting.motion.local_evidence import LocalEvidence
+from fourd.recording.matting.shadows.floor_light import FloorGrid, FloorLight
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
@@ -71,14 +72,15 @@ class Appearance:
     still_px: float
     deviations: Deviations = field(default_factory=Deviations)
 
-    def log_odds(self, rgb: Picture, motion: Floats | None) -> Floats:
-        """Return the log-odds (h, w) that the pixels of an image (h, w, 3) show the subject, from this camera only.
+    def log_odds(self, rgb: Picture, motion: Floats | None, floor: FloorLight | None = None) -> Floats:
+        """Return the log-odds (h, w) that the pixels of an image (h, w, 3) show the subject, without the visual hull.
 
-        ``motion`` (h, w) is the length of the optical flow in pixels, or None for a capture of one frame.
+        ``motion`` (h, w) is the length of the optical flow in pixels, or None for a capture of one frame. ``floor`` is
+        the light on the floor that the cameras agree on, or None.
         """
         confidence = self.background.confidence
         surround = self.surround.log_likelihood(rgb)
-        at_pixel = self.background.log_likelihood(rgb, self.deviations.shaded)
+        at_pixel = self.background.log_likelihood(rgb, self.deviations.shaded, floor)
         known = np.float32(1 - self.deviations.changed) * confidence
         background = np.logaddexp(at_pixel + np.log(known + 1e-4), surround + np.log(1 - known))
         odds = np.clip(self.subject.log_likelihood(rgb) - background, -MAX_LOG_ODDS, MAX_LOG_ODDS)
@@ -131,6 +133,7 @@ def combine_views(
     grid: VoxelGrid | None,
     local: Sequence[LocalEvidence] | None = None,
     painted: Sequence[Floats | None] | None = None,
+    floor: FloorGrid | None = None,
 ) -> ViewEvidence:
     """Combine each camera's log-odds with the visual hull of the other views.
 
@@ -143,10 +146,13 @@ def combine_views(
             are given, a second pass follows. It computes local colours of the subject from the result of the first
             pass, adds the evidence of both kinds of local colours to each camera's log-odds, and carves the hull again.
         painted: for each camera, the log-odds (h, w) that the user painted; 0 where nothing is painted.
+        floor: the floor on which the subject's shadow lies, or None.
     """
     strokes = [None] * len(pictures) if painted is None else painted
+    lights = _floor_lights(appearances, pictures, floor)
     own = [
-        appearance.log_odds(rgb, motion) for appearance, rgb, motion in zip(appearances, pictures, motions, strict=True)
+        appearance.log_odds(rgb, motion, light)
+        for appearance, rgb, motion, light in zip(appearances, pictures, motions, lights, strict=True)
     ]
     own = [_add_strokes(odds, stroke) for odds, stroke in zip(own, strokes, strict=True)]
     views = _add_hull(appearances, own, pictures, grid)
@@ -163,6 +169,15 @@ def combine_views(
         return views
     fixed = [_add_strokes(odds, stroke) for odds, stroke in zip(views.log_odds, strokes, strict=True)]
     return ViewEvidence(tuple(fixed), views.off_hull)
+
+
+def _floor_lights(
+    appearances: Sequence[Appearance], pictures: Sequence[Picture], floor: FloorGrid | None
+) -> Sequence[FloorLight | None]:
+    if floor is None:
+        return [None] * len(pictures)
+    views = [each.background.observed_light(rgb) for each, rgb in zip(appearances, pictures, strict=True)]
+    return floor.light(views)
 
 
 def _add_strokes(odds: Floats, painted: Floats | None) -> Floats:

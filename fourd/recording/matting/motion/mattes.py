@@ -23,6 +23,7 @@ from fourd.recording.matting.motion.local_evidence import LocalEvidence, local_e
 from fourd.recording.matting.motion.paint import Strokes, strokes_in_frame
 from fourd.recording.matting.motion.sampling import flow_frame, flow_length_px, learning_frames, reduce_picture
 from fourd.recording.matting.motion.subject import Subject
+from fourd.recording.matting.shadows.floor_light import FloorGrid
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
@@ -46,12 +47,14 @@ class MatteMaker:
         grid: voxel grid of the visual hull, which combines the views. None for a single camera and for cameras with
             parallel optical axes, whose views are processed independently.
         local: local colours of each camera's background.
+        floor: the floor on which the subject's shadow lies, or None.
     """
 
     appearances: tuple[Appearance, ...]
     cameras: tuple[Camera, ...]
     grid: VoxelGrid | None
     local: tuple[LocalEvidence, ...]
+    floor: FloorGrid | None = None
 
     @staticmethod
     def from_subject(subject: Subject, backgrounds: Sequence[BackgroundModel], cameras: Sequence[Camera]) -> MatteMaker:
@@ -65,7 +68,8 @@ class MatteMaker:
         )
         grid = None if subject.box is None else VoxelGrid.covering(*subject.box, cameras, min_seeing=subject.min_seeing)
         local = local_evidence(backgrounds, [appearance.region for appearance in appearances])
-        return MatteMaker(appearances, tuple(cameras), grid, tuple(local))
+        floor = None if grid is None else subject.floor_grid(cameras, grid.size)
+        return MatteMaker(appearances, tuple(cameras), grid, tuple(local), floor)
 
     def mattes(self, capture: Capture, frame: int, strokes: Sequence[Strokes] = ()) -> list[Picture]:
         """Compute the matte (H, W) uint8 of each camera for one frame. The user's ``strokes``, which may be on other
@@ -89,7 +93,7 @@ class MatteMaker:
             appearance.match_exposure(picture) for appearance, picture in zip(self.appearances, small, strict=True)
         ]
         painted = strokes_in_frame(strokes, capture, self.cameras, frame) if strokes else None
-        views = combine_views(self.appearances, matched, motions, self.grid, self.local, painted)
+        views = combine_views(self.appearances, matched, motions, self.grid, self.local, painted, self.floor)
         return [
             refine_matte(odds, picture, _sharp_background(appearance, picture))
             for odds, picture, appearance in zip(views.log_odds, pictures, self.appearances, strict=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fourd.base.cameras import Camera
 from fourd.base.errors import UserError
@@ -19,6 +20,7 @@ from fourd.recording.matting.motion.colour_models import ColourHistogram
 from fourd.recording.matting.motion.evidence import Appearance
 from fourd.recording.matting.motion.mattes import MatteMaker
 from fourd.recording.matting.motion.subject import Subject
+from fourd.recording.matting.shadows.floor import Floor
 
 MAX_BYTES_PER_PIXEL = 64
 """Maximum total size in bytes of a model's per-pixel arrays, such as the mean background colours, divided by the number
@@ -32,6 +34,7 @@ def save_subject(path: Path, subject: Subject, backgrounds: Sequence[BackgroundM
     arrays: dict[str, Any] = {
         "box": np.zeros((0, 3)) if subject.box is None else np.stack(subject.box),
         "min_seeing": np.array(subject.min_seeing),
+        "floor": np.zeros(0) if subject.floor is None else np.array([*subject.floor.normal, subject.floor.offset]),
     }
     for index, (appearance, fine) in enumerate(zip(subject.appearances, backgrounds, strict=True)):
         arrays |= {
@@ -61,6 +64,7 @@ def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
             box, min_seeing = arrays["box"], float(arrays["min_seeing"])
             if not 0 <= min_seeing <= 1:
                 raise ValueError(f"a fraction of {min_seeing} of the cameras")
+            floor = _floor(arrays["floor"])
             appearances, backgrounds = [], []
             for index, camera in enumerate(cameras):
                 fine = BackgroundModel(
@@ -75,8 +79,16 @@ def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
                 appearances.append(Appearance(fine, colours, surround, region, still_px, deviations))
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error, EOFError) as error:
         raise UserError(f"{path}: expected a learned model of the subject, got '{error}'; delete the file") from error
-    subject = Subject(tuple(appearances), tuple(cameras), (box[0], box[1]) if len(box) else None, min_seeing)
+    subject = Subject(tuple(appearances), tuple(cameras), (box[0], box[1]) if len(box) else None, min_seeing, floor)
     return MatteMaker.from_subject(subject, backgrounds, cameras)
+
+
+def _floor(plane: NDArray[np.floating]) -> Floor | None:
+    if not len(plane):
+        return None
+    if plane.shape != (4,) or not np.isfinite(plane).all() or abs(float(np.linalg.norm(plane[:3])) - 1) > 1e-6:
+        raise ValueError("a floor that is no plane")
+    return Floor(np.asarray(plane[:3], np.float64), float(plane[3]))
 
 
 def _check_size(path: Path, cameras: Sequence[Camera]) -> None:

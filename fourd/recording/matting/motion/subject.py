@@ -21,6 +21,7 @@ from fourd.base.errors import UserError
 from fourd.base.parallel import map_threads
 from fourd.base.progress import Track
 from fourd.recording.capture.focus import find_focus
+from fourd.recording.capture.layout import sample_indices
 from fourd.recording.matting.motion.agreement import MIN_SEEING_SHARE, VoxelGrid
 from fourd.recording.matting.motion.colour_models import ColourHistogram
 from fourd.recording.matting.motion.evidence import Appearance, ViewEvidence, combine_views, probability
@@ -28,6 +29,8 @@ from fourd.recording.matting.motion.learner import Learner
 from fourd.recording.matting.motion.local_evidence import LocalEvidence, local_evidence
 from fourd.recording.matting.motion.motion_extent import MotionExtent
 from fourd.recording.matting.motion.sampling import CameraSample
+from fourd.recording.matting.shadows.floor import Floor, find_floor, shaded_points
+from fourd.recording.matting.shadows.floor_light import FloorGrid
 from fourd.recording.matting.solid.moments import Moments
 from fourd.recording.matting.solid.subject import SolidSubject
 
@@ -43,6 +46,9 @@ subject's limbs thus becomes known, although the hull often covers it. The first
 subject's edges more accurate. Some background pixels are covered by the subject in all frames except those in which the
 subject's edge is next to them. With the more accurate edges, the second additional iteration also finds these
 pixels."""
+FLOOR_ITERATION = 2
+"""Number of iterations after which the floor is looked for. The backgrounds are known well by then."""
+FLOOR_FRAMES = 8
 MIN_REGION_PIXELS = 20
 """Minimum number of changing pixels. If every camera has fewer changing pixels, the capture has no moving subject."""
 COARSE_CELLS = (48, 64, 64)
@@ -70,12 +76,21 @@ class Subject:
         box: minimum and maximum corner (3,) of the subject's bounding box over all frames, in world units. None
             for a single camera and for cameras with parallel optical axes, whose views are processed independently.
         min_seeing: the least fraction of the cameras that see a part of the subject.
+        floor: the plane on which the subject's shadow lies, or None if no shadow was found.
     """
 
     appearances: tuple[Appearance, ...]
     cameras: tuple[Camera, ...]
     box: tuple[Array, Array] | None
     min_seeing: float = MIN_SEEING_SHARE
+    floor: Floor | None = None
+
+    def floor_grid(self, cameras: Sequence[Camera], size: float) -> FloorGrid | None:
+        """Divide the floor into cells with sides of ``size`` world units, for images of ``cameras``. Returns None if
+        there is no floor."""
+        if self.floor is None or self.box is None:
+            return None
+        return FloorGrid.covering(self.floor, np.stack(self.box), size, cameras)
 
 
 def learn_subject(
@@ -115,16 +130,37 @@ def learn_subject(
     ]
     _pool_subject_colours(learners)
     iterations = ITERATIONS + LOCAL_ITERATIONS
+    floor: Floor | None = None
     for number in track(range(iterations), iterations, "learning"):
-        _iterate(learners, place, rngs, number >= ITERATIONS, workers)
-    return Subject(tuple(learner.appearance for learner in learners), cameras, place.box, place.min_seeing)
+        if number >= FLOOR_ITERATION and floor is None:
+            floor = _find_floor(learners, place, np.random.default_rng(seed))
+        _iterate(learners, place, rngs, number >= ITERATIONS, workers, floor)
+    return Subject(tuple(learner.appearance for learner in learners), cameras, place.box, place.min_seeing, floor)
+
+
+def _find_floor(learners: Sequence[Learner], place: _Place, rng: np.random.Generator) -> Floor | None:
+    """Find the floor from the shadows in some of the sampled frames."""
+    if place.grid is None or place.box is None:
+        return None
+    count = len(learners[0].sample.rgb)
+    points = []
+    for frame in sample_indices(count, min(count, FLOOR_FRAMES)):
+        views = [each.appearance.background.observed_light(each.sample.rgb[frame]) for each in learners]
+        points.append(shaded_points(place.grid.xyz, place.grid.pixels, views))
+    return find_floor(np.concatenate(points), place.cameras, np.stack(place.box), place.grid.size, rng)
 
 
 def _iterate(
-    learners: Sequence[Learner], place: _Place, rngs: Sequence[np.random.Generator], is_local: bool, workers: int
+    learners: Sequence[Learner],
+    place: _Place,
+    rngs: Sequence[np.random.Generator],
+    is_local: bool,
+    workers: int,
+    floor: Floor | None,
 ) -> None:
     """Run one iteration of expectation maximisation, with local colours if ``is_local`` is true."""
     local = _local_evidence(learners) if is_local else None
+    cells = place.floor_grid(floor)
 
     def combine(frame: int) -> ViewEvidence:
         return combine_views(
@@ -134,6 +170,7 @@ def _iterate(
             place.grid,
             local,
             [_solid_log_odds(masks, frame) for masks in place.shown] if place.has_still_parts else None,
+            cells,
         )
 
     frames = map_threads(combine, range(len(learners[0].sample.rgb)), workers)
@@ -182,6 +219,12 @@ class _Place:
     def has_still_parts(self) -> bool:
         """Whether stereo found parts of the subject that motion lacks."""
         return any(masks is not None for masks in self.shown)
+
+    def floor_grid(self, floor: Floor | None) -> FloorGrid | None:
+        """Divide the floor around the subject into cells. Returns None if there is no floor."""
+        if floor is None or self.box is None or self.grid is None:
+            return None
+        return FloorGrid.covering(floor, np.stack(self.box), self.grid.size, self.cameras)
 
     @staticmethod
     def of_motion(extents: Sequence[MotionExtent], cameras: tuple[Camera, ...], names: Sequence[str]) -> _Place:
