@@ -36,7 +36,7 @@ MAX_LIGHT_RESIDUAL = np.float32(14.0)
 """A colour is the background's colour in another light if their squared difference, in units of the variance and summed
 over the channels, is below this value. For Gaussian noise, 0.3% of the pixels are above it."""
 MIN_LIGHT_CONFIDENCE = np.float32(0.5)
-LIGHT_SPREAD = np.float32(0.04)
+LIGHT_SPREAD = np.float32(0.03)
 """Standard deviation of the light on the floor in one camera from the light that all cameras agree on."""
 MIN_LIGHT_PROBABILITY = np.float32(0.01)
 

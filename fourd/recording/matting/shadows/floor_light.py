@@ -27,7 +27,7 @@ MIN_VIEWS = 4
 MIN_AGREEING_VIEWS = 3
 MAX_SPREAD = 0.08
 """Cameras agree about a cell if the light that they see differs from the median by at most this."""
-MIN_AGREEING = 0.5
+MIN_AGREEING = 0.3
 """Fraction of the cameras that must agree about a cell. The subject stands between the cell and the others."""
 MAX_PROBABILITY = 0.8
 DARKEST, BRIGHTEST = 0.35, 1.1
