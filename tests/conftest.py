@@ -17,24 +17,31 @@ import torch
 from fourd.rendering.ops.gpu import cuda_unavailable_reason
 from tests.captures import write_ball_capture
 
+SEED = "FOURD_TEST_SEED"
+
 
 def pytest_configure() -> None:
     """If a shell has started the tests as a background job, this process ignores SIGINT. The commands that tests start
     would also ignore SIGINT, and tests that interrupt a command would wait until their time limits. This function
     therefore restores Python's handler of SIGINT.
+
+    It also draws the seed of the run, unless FOURD_TEST_SEED is set. The worker processes inherit it. It is printed
+    before the first test: a test that crashes its process prints nothing.
     """
+    os.environ.setdefault(SEED, str(secrets.randbits(32)))
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def pytest_report_header() -> str:
+    return f"{SEED}={os.environ[SEED]}"
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
-    """A random generator with a new seed. If a test fails, pytest prints the seed. To use the same seed again, set the
-    environment variable FOURD_TEST_SEED.
-    """
-    seed = int(os.environ.get("FOURD_TEST_SEED", secrets.randbits(32)))
-    print(f"FOURD_TEST_SEED={seed}")
-    return np.random.default_rng(seed)
+    """A random generator with the seed of this run. To use the same seed again, set the environment variable
+    FOURD_TEST_SEED."""
+    return np.random.default_rng(int(os.environ[SEED]))
 
 
 @pytest.fixture(scope="session")
