@@ -3,6 +3,7 @@
 - ``reference/cli.md`` contains the ``--help`` of each command.
 - ``examples.md`` contains the programs in ``examples/``.
 - ``contributing.md`` and ``changelog.md`` are copies of the files at the top of the repository.
+- ``player/`` contains the modules of the web player. Pages with scenes load them, and ``scenes/page.js``.
 """
 
 from __future__ import annotations
@@ -17,12 +18,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from jinja2 import Environment
     from mkdocs.config.defaults import MkDocsConfig
     from mkdocs.structure.files import Files
+    from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[2]
 HELP_COLUMNS = "84"
 """Width of the help texts in characters."""
+SCENES = "scenes"
+"""Folder of the scenes that pages play, relative to docs/ and to the site."""
 
 CLI_HEAD = """# Commands
 
@@ -46,10 +51,33 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
+def on_env(env: Environment, config: MkDocsConfig, files: Files) -> None:
+    """Add the player to the site, whose folder is already empty at this time."""
+    _import_from_repository()
+    from fourd.viewer.publish.site import copy_modules
+
+    copy_modules(Path(config.site_dir))
+
+
+def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:
+    """Load the player in pages with scenes, and in no others. The addresses are relative, so that the site can be
+    published below any address."""
+    if '<div class="scene"' not in output:
+        return output
+    from mkdocs.utils import get_relative_url
+
+    from fourd.viewer.publish.site import loaded_modules
+
+    modules = loaded_modules(Path(config.site_dir))
+    head = [f'<link rel="modulepreload" href="{get_relative_url(name, page.url)}">' for name in modules]
+    head.append(f'<script type="module" src="{get_relative_url(f"{SCENES}/page.js", page.url)}"></script>')
+    head.append(f'<link rel="stylesheet" href="{get_relative_url(f"{SCENES}/page.css", page.url)}">')
+    return output.replace("</head>", "\n".join([*head, "</head>"]), 1)
+
+
 def cli_reference() -> str:
     """Return the page with the help text of every command."""
-    if str(ROOT) not in sys.path:
-        sys.path.insert(0, str(ROOT))
+    _import_from_repository()
     from fourd.cli.main import COMMANDS
 
     sections = [CLI_HEAD, _fenced(command_help())]
@@ -84,6 +112,11 @@ def repository_page(name: str) -> str:
     text = re.sub(r"\]\(docs/", "](", text)
     # Links to files outside docs/, which are not part of the site, are replaced by their link text.
     return re.sub(r"\[([^\]]+)\]\((?!https?:|#)([^)#]+\.(?:py|yaml|toml|h|sh))\)", r"\1", text)
+
+
+def _import_from_repository() -> None:
+    if str(ROOT) not in sys.path:
+        sys.path.insert(0, str(ROOT))
 
 
 @contextlib.contextmanager

@@ -116,14 +116,26 @@ def copy_player(folder: Path, title: str, is_live: bool = False, styles: Mapping
     If ``is_live`` is True, an open page loads the scene file again whenever it changes on the server. If ``styles`` is
     None, the page offers the presets.
     """
+    copy_modules(folder, styles)
     with as_file(files("fourd.viewer") / "web") as web:
-        _copy_modules(web, folder, styles, (*_NOT_SERVED, TRAINING_FOLDER))
         page = (web / "index.html").read_text(encoding="utf-8")
         page = page.replace("{{scene}}", SCENE_NAME).replace("{{live}}", " live" if is_live else "")
-        modules = sorted(path.relative_to(folder).as_posix() for path in (folder / PLAYER_FOLDER).rglob("*.js"))
-        loaded = [name for name in modules if not name.endswith(("worker.js", "fourd-scene.js"))]
-        _write_page(folder, page, title, loaded)
+        _write_page(folder, page, title, loaded_modules(folder))
         shutil.copyfile(web / "page.css", folder / "page.css")
+
+
+def copy_modules(folder: Path, styles: Mapping[str, Style] | None = None) -> None:
+    """Write only the folder of the player: its modules, and the styles that it offers. If ``styles`` is None, these are
+    the presets."""
+    with as_file(files("fourd.viewer") / "web") as web:
+        _copy_modules(web, folder, styles, (*_NOT_SERVED, TRAINING_FOLDER))
+
+
+def loaded_modules(folder: Path) -> list[str]:
+    """The modules that a page with a player loads at once, relative to the folder in which :func:`copy_modules` wrote
+    them."""
+    modules = sorted(path.relative_to(folder).as_posix() for path in (folder / PLAYER_FOLDER).rglob("*.js"))
+    return [name for name in modules if not name.endswith(("worker.js", "fourd-scene.js"))]
 
 
 def copy_training_page(folder: Path, title: str, styles: Mapping[str, Style] | None = None) -> None:

@@ -27,7 +27,8 @@ const LIVE_MS = 2000;
  * Attributes: `src`, `poster` (image that is shown first), `autoplay`, `controls="none"` (no buttons), `background`
  * (a colour such as #203040), `stylize` (name of a style), `mode="reference"` (exact depth peeling), `links` (the
  * page's address contains the view and the time), `timeout` (seconds without data after which a request is repeated, 15
- * by default), `live` (the scene is opened again when it changes on the server).
+ * by default), `live` (the scene is opened again when it changes on the server), `embedded` (the element is a part of a
+ * page that scrolls).
  * Events: `ready` after the first image, and `error`.
  */
 export class FourdPlayer extends HTMLElement {
@@ -53,6 +54,8 @@ export class FourdPlayer extends HTMLElement {
     this.lastInput = performance.now();
     /** Time from the start of loading to the first image, in milliseconds. */
     this.firstImageMs = 0;
+    /** Whether a part of the element is in the window. Otherwise, the scene neither plays nor draws. */
+    this.isInView = true;
     this.styleMenu = new StyleMenu(this);
     this.controls = new Controls(this.panel.canvas, this, () => this.stage?.pose ?? null, (pose) => this.stage?.setPose(pose));
     /** Shows the view of a link that the user opens in the page that is already open. */
@@ -69,6 +72,8 @@ export class FourdPlayer extends HTMLElement {
     if (poster) Object.assign(this.panel.poster, { src: poster, hidden: false });
     this.observer = new ResizeObserver(() => this.#resize());
     this.observer.observe(this);
+    this.inView = new IntersectionObserver((entries) => (this.isInView = entries[entries.length - 1].isIntersecting));
+    this.inView.observe(this);
     if (this.hasAttribute("links")) window.addEventListener("hashchange", this.followLink);
     if (this.hasAttribute("live")) this.liveTimer = setInterval(() => this.#openIfChanged(), LIVE_MS);
     this.#open();
@@ -76,6 +81,7 @@ export class FourdPlayer extends HTMLElement {
 
   disconnectedCallback() {
     this.observer?.disconnect();
+    this.inView?.disconnect();
     clearInterval(this.liveTimer);
     window.removeEventListener("hashchange", this.followLink);
     this.#close();
@@ -263,7 +269,7 @@ export class FourdPlayer extends HTMLElement {
     stage.background = parseColour(this.getAttribute("background"));
     this.panel.setCameras(manifest.cameras.map((camera) => camera.name));
     if (this.hasAttribute("links")) this.#follow(location.hash);
-    stage.clock.isPlaying = this.hasAttribute("autoplay");
+    stage.clock.isPlaying = this.hasAttribute("autoplay") && !(this.hasAttribute("embedded") && prefersStillness());
     if (kept) {
       stage.setPose(kept.pose);
       stage.clock.seek(Math.round(kept.seconds * manifest.fps));
@@ -296,6 +302,10 @@ export class FourdPlayer extends HTMLElement {
       if (stage !== this.stage) return;
       const elapsed = Math.max(now - last, 0) / 1000;
       last = now;
+      if (!this.isInView && !this.vr) {
+        requestAnimationFrame(step);
+        return;
+      }
       try {
         this.controls.update(elapsed);
         stage.update(now, elapsed);
@@ -362,6 +372,11 @@ function parseColour(text) {
   const digits = /^#([0-9a-f]{2})([0-9a-f]{2})([0-9a-f]{2})$/i.exec(text ?? "");
   if (!digits) return [0, 0, 0];
   return [parseInt(digits[1], 16) / 255, parseInt(digits[2], 16) / 255, parseInt(digits[3], 16) / 255];
+}
+
+/** Whether the user has asked the system for less motion. */
+function prefersStillness() {
+  return matchMedia("(prefers-reduced-motion: reduce)").matches;
 }
 
 if (!customElements.get("fourd-player")) customElements.define("fourd-player", FourdPlayer);

@@ -18,6 +18,7 @@ export class Controls {
    */
   constructor(surface, host, getPose, setPose) {
     this.surface = surface;
+    this.host = host;
     this.getPose = getPose;
     this.setPose = setPose;
     /** @type {Map<number, {x: number, y: number}>} */
@@ -95,8 +96,12 @@ export class Controls {
     return second ? Math.hypot(first.x - second.x, first.y - second.y) : 0;
   }
 
-  /** @param {WheelEvent} event */
+  /**
+   * Dollies. On a page that scrolls, the wheel scrolls until the user has clicked on the scene.
+   * @param {WheelEvent} event
+   */
   #wheel(event) {
+    if (this.host.hasAttribute("embedded") && !this.host.matches(":focus-within")) return;
     event.preventDefault();
     const pose = this.getPose();
     const pixels = event.deltaMode === WheelEvent.DOM_DELTA_PIXEL ? event.deltaY : 33 * event.deltaY;

@@ -4,6 +4,7 @@ export const STYLE = `
   font: 14px/1.4 system-ui, sans-serif; outline: none; }
 :host([hidden]) { display: none; }
 canvas { position: absolute; inset: 0; width: 100%; height: 100%; touch-action: none; cursor: grab; }
+:host([embedded]) canvas { touch-action: pan-y; }
 canvas:active { cursor: grabbing; }
 .poster { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: contain; pointer-events: none; }
 .bar { position: absolute; left: 0; right: 0; bottom: 0; display: flex; flex-wrap: wrap; align-items: center; gap: 6px 8px;
