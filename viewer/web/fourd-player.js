@@ -66,6 +66,8 @@ export class FourdPlayer extends HTMLElement {
 
   connectedCallback() {
     if (!this.hasAttribute("tabindex")) this.tabIndex = 0;
+    if (!this.hasAttribute("role")) this.setAttribute("role", "group");
+    if (!this.hasAttribute("aria-label")) this.setAttribute("aria-label", "4D scene");
     this.panel.bar.hidden = this.getAttribute("controls") === "none";
     supportsVr().then((supported) => (this.panel.vr.hidden = !supported));
     const poster = this.getAttribute("poster");

@@ -36,13 +36,17 @@ export class Panel {
     this.scrub = element("input", { type: "range", min: "0", max: "0", step: "1", value: "0", title: "Time" });
     this.scrub.setAttribute("aria-label", "Frame");
     this.time = element("span", { className: "time" });
-    this.speed = element("select", { title: "Speed" });
+    this.speed = list("Speed");
     for (const value of SPEEDS) this.speed.append(new Option(`${value}×`, String(value)));
     this.loop = button("loop", "Loop (L)");
-    this.camera = element("select", { title: "Cameras of the capture" });
-    this.styles = element("select", { title: "Style", hidden: true });
+    this.camera = list("Cameras of the capture");
+    this.styles = list("Style");
+    this.styles.hidden = true;
+    for (const each of [this.loop, this.speed, this.camera]) each.classList.add("wide");
     this.shoot = button("save", "Save the image (I)");
+    this.shoot.classList.add("wide");
     this.link = button("link", "Copy a link to this view (C)");
+    this.link.classList.add("link");
     this.full = button("full", "Full screen (F)");
     this.vr = button("vr", "Enter VR");
     this.vr.hidden = true;
@@ -125,6 +129,14 @@ function makeHelp() {
 function button(icon, title) {
   const made = element("button", { type: "button", title });
   setIcon(made, icon);
+  made.setAttribute("aria-label", title);
+  return made;
+}
+
+/** @param {string} title */
+function list(title) {
+  const made = element("select", { title });
+  // Not all screen readers say titles.
   made.setAttribute("aria-label", title);
   return made;
 }

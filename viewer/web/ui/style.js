@@ -4,7 +4,10 @@ export const STYLE = `
   font: 14px/1.4 system-ui, sans-serif; outline: none; }
 :host([hidden]) { display: none; }
 canvas { position: absolute; inset: 0; width: 100%; height: 100%; touch-action: none; cursor: grab; }
+:host([embedded]) { container-type: inline-size; }
 :host([embedded]) canvas { touch-action: pan-y; }
+:host([embedded]:not([links])) .link { display: none; }
+@container (max-width: 480px) { .wide { display: none; } }
 canvas:active { cursor: grabbing; }
 .poster { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: contain; pointer-events: none; }
 .bar { position: absolute; left: 0; right: 0; bottom: 0; display: flex; flex-wrap: wrap; align-items: center; gap: 6px 8px;
