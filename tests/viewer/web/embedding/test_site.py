@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from fourd.scene import open_scene
 from tests.viewer.web.conftest import serving
 from tests.viewer.web.npm import installed
 from tests.viewer.web.page import PlayerPage
@@ -55,6 +56,15 @@ def faults(page: Any) -> list[str]:
     """The faults that axe finds in a page, one line each."""
     page.add_script_tag(path=installed("axe-core") / "axe.min.js")
     return list(page.evaluate(RULES))
+
+
+def test_the_scene_of_the_site_is_small() -> None:
+    """Catches a scene that is slow to load on a phone, and one that makes each clone of the repository large."""
+    path = ROOT / "docs" / "scenes" / "runner.4dv"
+    assert path.stat().st_size < 2.2e6
+    with open_scene(path) as scene:
+        assert scene.manifest.frame_count > 12
+        assert scene.manifest.encoding is not None
 
 
 @pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
