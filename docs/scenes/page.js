@@ -16,6 +16,16 @@ for (const button of document.querySelectorAll(".scene > button")) {
   button.addEventListener("click", () => start(button));
 }
 
+new MutationObserver(nameCodeBars).observe(document.body, { childList: true, subtree: true });
+nameCodeBars();
+
+/** Gives a name to the theme's bar of buttons of each code block, because several landmarks without names are a maze. */
+function nameCodeBars() {
+  document.querySelectorAll(".md-code__nav:not([aria-label])").forEach((bar) => {
+    bar.setAttribute("aria-label", `Buttons of code block ${[...document.querySelectorAll(".md-code__nav")].indexOf(bar) + 1}`);
+  });
+}
+
 /** Turns the view around the scene while it plays, until the visitor moves the view. */
 function turn(player) {
   if (matchMedia("(prefers-reduced-motion: reduce)").matches) return;
