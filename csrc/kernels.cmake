@@ -25,6 +25,11 @@ fourd_kernel(hashgrid
   BINDING binding.cpp
   CUDA_BINDING cuda/binding.cpp)
 
+fourd_kernel(heads
+  CPU cpu/heads.cpp
+  DISPATCH cpu/loops.cpp WIDEST avx512 TOLERANT
+  BINDING binding.cpp)
+
 fourd_kernel(interpolate
   CPU cpu/interpolate.cpp
   DISPATCH cpu/loops.cpp WIDEST avx512 EXACT

@@ -32,6 +32,15 @@
 #define FOURD_KEEP_LOOP
 #endif
 
+// Write this macro before a loop of at most 16 iterations over an array that is meant to be kept in registers.
+#if defined(__clang__)
+#define FOURD_UNROLL _Pragma("unroll")
+#elif defined(__GNUC__)
+#define FOURD_UNROLL _Pragma("GCC unroll 16")
+#else
+#define FOURD_UNROLL
+#endif
+
 namespace fourd {
 
 // Prefetches the cache line at an address. The address does not need to be valid.

@@ -59,7 +59,7 @@ class EvaluatedPoints:
         spacing: (N,) distance between neighbouring points in world units.
         displacement: (N, 3) displacement by the residual field, which ``xyz`` already includes; None if the model has
             no residual field.
-        features: outputs of the first layers of the heads.
+        features: outputs of the first layers of the heads; None if the colour is already computed.
         sh: (N, 3, 16) SH coefficients, from the MLP or optimised for each point; None if the model uses no SH. Outside
             training, :meth:`PointModel.harmonics` scales those of degrees 2 and 3, unless the model uses only SH.
         rgb: (N, 3) the points' own colours, which are the same in all views. The colours of the views are mixed with
@@ -71,7 +71,7 @@ class EvaluatedPoints:
     density: Tensor
     spacing: Tensor
     displacement: Tensor | None
-    features: PointFeatures
+    features: PointFeatures | None
     sh: Tensor | None
     rgb: Tensor | None
 
@@ -246,6 +246,7 @@ class PointModel(nn.Module):
         """Compute the blend logits (V, N) of the source views. ``viewer`` is used only for continuous blending and may
         otherwise be None."""
         assert self.blend_head is not None
+        assert points.features is not None
         assert points.features.blend is not None
         directions = None
         if self.config.continuous:

@@ -82,10 +82,17 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
             the view minus the depth of the nearest surface at the point's projection. The factor is
             ``exp(-max(0, z / s - 2))``. No gradient is computed for ``softness``.
     """
-    cameras = _pack_cameras(sources.cameras)
-    views = (sources.images, sources.mattes, sources.depth)
-    channels, visibility = ops.sample_sources(xyz, features, *views, cameras, softness)
+    channels, visibility = sample_channels(xyz, sources, features, softness)
     return SourceSamples(channels.transpose(1, 2), visibility)
+
+
+def sample_channels(
+    xyz: Tensor, sources: SourceViews, features: Tensor | None, softness: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Compute the channels (V, C, N), which are transposed in :class:`SourceSamples`, and the visibility (V, N) that
+    :func:`sample_sources` returns."""
+    views = (sources.images, sources.mattes, sources.depth)
+    return ops.sample_sources(xyz, features, *views, _pack_cameras(sources.cameras), softness)
 
 
 def project_points(xyz: Tensor, cameras: tuple[Camera, ...]) -> tuple[Tensor, Tensor]:

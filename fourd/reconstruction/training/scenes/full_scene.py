@@ -11,6 +11,7 @@ from torch import Tensor
 
 from fourd.base.cameras import Camera, SelectedViews
 from fourd.reconstruction.model import PointModel
+from fourd.reconstruction.model.training_step import evaluate_in_view
 from fourd.reconstruction.training.background import StaticBackground
 from fourd.reconstruction.training.cameras.refinement import Refinement
 from fourd.reconstruction.training.cameras.rig import Rig
@@ -170,9 +171,11 @@ class FullScene:
             sources = self.background.sources(sample.sources, train_encoder=train_encoder)
             sources = sources.weighted(sample.source_weights)
         leaves = {name: value[rows].requires_grad_() for name, value in points.parameters.items()}
-        evaluated = model.evaluate(leaves["xyz"], points.spacing[rows], 0.0, rgb=leaves.get("rgb"))
-        shadow = None if model.shadow is None or sample.is_plate else model.shadow(evaluated.xyz, time)
-        colour = model.colour(evaluated, camera, sources, shadow=shadow)
+        # The background has no residual field, so shadows are computed at the points' own positions.
+        shadow = None if model.shadow is None or sample.is_plate else model.shadow(leaves["xyz"], time)
+        evaluated, colour = evaluate_in_view(
+            model, leaves["xyz"], points.spacing[rows], 0.0, camera, sources, rgb=leaves.get("rgb"), shadow=shadow
+        )
         return OptimizedPoints(points, rows, leaves, evaluated, colour, sources)
 
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from fourd.base.cameras import Camera, SelectedViews
 from fourd.reconstruction.model import PointModel
 from fourd.reconstruction.model.sources import SourceViews
+from fourd.reconstruction.model.training_step import evaluate_in_view
 from fourd.reconstruction.training.background import StaticBackground
 from fourd.reconstruction.training.cameras.refinement import Refinement
 from fourd.reconstruction.training.cameras.rig import Rig
@@ -72,11 +73,17 @@ class ObjectScene:
             views = self.views.sources(sample.sources, sample.frame).weighted(sample.source_weights)
             sources = with_surface_depth(views, points, self.config.model.occlusion, self.near)
         leaves = {name: value[rows].requires_grad_() for name, value in points.parameters.items()}
-        evaluated = self.model.evaluate(
-            leaves["xyz"], points.spacing[rows], time, explicit_sh=leaves.get("sh"), rgb=leaves.get("rgb")
+        evaluated, colour = evaluate_in_view(
+            self.model,
+            leaves["xyz"],
+            points.spacing[rows],
+            time,
+            camera,
+            sources,
+            explicit_sh=leaves.get("sh"),
+            rgb=leaves.get("rgb"),
+            train_encoder=step % self.config.encoder_every == 0,
         )
-        train_encoder = step % self.config.encoder_every == 0
-        colour = self.model.colour(evaluated, camera, sources, train_encoder=train_encoder)
         return OptimizedPoints(points, rows, leaves, evaluated, colour, sources)
 
     def xyz_rate(self, points: OptimizedPoints, factor: float) -> Tensor:

@@ -1,0 +1,164 @@
+// Python bindings of the point model's networks; fourd/rendering/ops/heads/op.py documents the operations.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "binding/require.h"
+#include "heads/heads.h"
+
+namespace nb = nanobind;
+
+namespace fourd {
+namespace {
+
+template <typename Number, std::size_t Axes>
+using Array = nb::ndarray<Number, nb::ndim<Axes>, nb::c_contig, nb::device::cpu>;
+template <typename Number>
+using AnyArray = nb::ndarray<Number, nb::c_contig, nb::device::cpu>;
+
+constexpr int kSettings = 11;
+
+// The arguments that both passes have.
+struct Call {
+    heads::Sizes sizes;
+    heads::Settings settings;
+    std::vector<const float*> weights;
+    heads::Inputs inputs;
+    heads::Execution execution;
+};
+
+heads::Settings settings_of(const std::vector<float>& s) {
+    require(s.size() == kSettings, "settings: expected 11 numbers");
+    return {s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], {s[8], s[9], s[10]}};
+}
+
+template <typename Number>
+void require_weights(const heads::Sizes& sizes, const std::vector<AnyArray<Number>>& weights) {
+    require(weights.size() == heads::kWeightCount, "weights: expected 15 arrays");
+    for (int i = 0; i < heads::kWeightCount; ++i) {
+        const heads::Shape shape = heads::weight_shape(sizes, i);
+        require(weights[i].size() == static_cast<std::size_t>(shape.rows) * shape.columns,
+                "weights: expected the shapes of the layers");
+    }
+}
+
+Call call_of(const Array<const float, 2>& features, const Array<const float, 3>& samples,
+             const Array<const float, 2>& visibility, const Array<const float, 1>& view_weights,
+             const std::optional<Array<const float, 2>>& own, const Array<const float, 2>& xyz,
+             const Array<const float, 1>& spacing, const std::vector<AnyArray<const float>>& weights,
+             const std::vector<float>& settings, int threads, const std::string& simd) {
+    const std::size_t count = features.shape(0);
+    require(count <= 0x7fffffff, "features: expected at most 2^31 - 1 points");
+    require(features.shape(1) >= 1 && features.shape(1) <= heads::kMaxFeatures, "features: expected 1 to 4096");
+    require(samples.shape(2) == count, "samples: expected shape (views, channels, points)");
+    require(samples.shape(0) >= 1 && samples.shape(0) <= heads::kMaxViews, "samples: expected 1 to 64 views");
+    require(samples.shape(1) >= 3 && samples.shape(1) <= heads::kMaxChannels, "samples: expected 3 to 64 channels");
+    require(visibility.shape(0) == samples.shape(0) && visibility.shape(1) == count,
+            "visibility: expected shape (views, points)");
+    require(view_weights.shape(0) == samples.shape(0), "view_weights: expected one number for each view");
+    require(!own || (own->shape(0) == count && own->shape(1) == 3), "own: expected shape (points, 3)");
+    require(xyz.shape(0) == count && xyz.shape(1) == 3, "xyz: expected shape (points, 3)");
+    require(spacing.shape(0) == count, "spacing: expected one number for each point");
+    require(weights.size() == heads::kWeightCount, "weights: expected 15 arrays");
+    const std::size_t hidden = weights[heads::kGeometryFirstBias].size();
+    require(hidden >= 1 && hidden <= heads::kMaxHidden, "weights: expected a hidden layer of width 1 to 512");
+    const heads::Sizes sizes{static_cast<int>(features.shape(1)), static_cast<int>(hidden),
+                             static_cast<int>(samples.shape(1)), static_cast<int>(samples.shape(0))};
+    require_weights(sizes, weights);
+    std::vector<const float*> pointers;
+    for (const AnyArray<const float>& weight : weights) pointers.push_back(weight.data());
+    const heads::Inputs inputs{features.data(),
+                               samples.data(),
+                               visibility.data(),
+                               view_weights.data(),
+                               own ? own->data() : nullptr,
+                               xyz.data(),
+                               spacing.data(),
+                               count};
+    return {sizes, settings_of(settings), pointers, inputs, {clamp_threads(threads), simd_named(simd.c_str())}};
+}
+
+template <typename Number>
+void require_outputs(const Call& call, const Array<Number, 1>& radius, const Array<Number, 1>& density,
+                     const Array<Number, 2>& colour) {
+    const std::size_t count = call.inputs.count;
+    require(radius.size() == count && density.size() == count, "radius, density: expected one number for each point");
+    require(colour.shape(0) == count && colour.shape(1) == 3, "colour: expected shape (points, 3)");
+}
+
+void require_hidden(const Call& call, std::size_t rows, std::size_t columns) {
+    require(rows == call.inputs.count && columns == static_cast<std::size_t>(call.sizes.first_stride()),
+            "hidden: expected shape (points, 3 * hidden), padded to a multiple of 48");
+}
+
+void forward(const Array<const float, 2>& features, const Array<const float, 3>& samples,
+             const Array<const float, 2>& visibility, const Array<const float, 1>& view_weights,
+             const std::optional<Array<const float, 2>>& own, const Array<const float, 2>& xyz,
+             const Array<const float, 1>& spacing, const std::vector<AnyArray<const float>>& weights,
+             const std::vector<float>& settings, int threads, const std::string& simd, const Array<float, 1>& radius,
+             const Array<float, 1>& density, const Array<float, 2>& sh, const Array<float, 2>& colour,
+             const Array<float, 2>& hidden) {
+    const Call call = call_of(features, samples, visibility, view_weights, own, xyz, spacing, weights, settings,
+                              threads, simd);
+    require_outputs(call, radius, density, colour);
+    require(sh.size() == call.inputs.count * heads::kSh, "sh: expected shape (points, 48)");
+    require_hidden(call, hidden.shape(0), hidden.shape(1));
+    nb::gil_scoped_release release;
+    heads::forward(call.sizes, call.settings, call.weights.data(), call.inputs, call.execution,
+                   {radius.data(), density.data(), sh.data(), colour.data(), hidden.data()});
+}
+
+void backward(const Array<const float, 2>& features, const Array<const float, 3>& samples,
+              const Array<const float, 2>& visibility, const Array<const float, 1>& view_weights,
+              const std::optional<Array<const float, 2>>& own, const Array<const float, 2>& xyz,
+              const Array<const float, 1>& spacing, const std::vector<AnyArray<const float>>& weights,
+              const std::vector<float>& settings, int threads, const std::string& simd,
+              const Array<const float, 1>& radius, const Array<const float, 1>& density,
+              const std::optional<Array<const float, 2>>& sh, const Array<const float, 2>& colour,
+              const Array<const float, 2>& hidden, const Array<float, 2>& out_features,
+              const Array<float, 3>& out_samples, const std::optional<Array<float, 2>>& out_own,
+              const Array<float, 2>& out_xyz, const std::vector<AnyArray<float>>& out_weights) {
+    const Call call = call_of(features, samples, visibility, view_weights, own, xyz, spacing, weights, settings,
+                              threads, simd);
+    require_outputs(call, radius, density, colour);
+    require(!sh || sh->size() == call.inputs.count * heads::kSh, "sh: expected shape (points, 48)");
+    require_hidden(call, hidden.shape(0), hidden.shape(1));
+    require(out_features.size() == features.size() && out_samples.size() == samples.size() &&
+                out_xyz.size() == xyz.size() && own.has_value() == out_own.has_value() &&
+                (!own || out_own->size() == own->size()),
+            "gradients: expected the shapes of the inputs");
+    require_weights(call.sizes, out_weights);
+    heads::Gradients out{out_features.data(), out_samples.data(), own ? out_own->data() : nullptr, out_xyz.data(), {}};
+    for (int i = 0; i < heads::kWeightCount; ++i) out.weights[i] = out_weights[i].data();
+    nb::gil_scoped_release release;
+    heads::backward(call.sizes, call.settings, call.weights.data(), call.inputs, call.execution,
+                    {radius.data(), density.data(), sh ? sh->data() : nullptr, colour.data(), hidden.data()}, out);
+}
+
+}  // namespace
+
+void bind_heads(nb::module_& module) {
+    module.def("evaluate_heads", &forward, nb::arg("features"), nb::arg("samples"), nb::arg("visibility"),
+               nb::arg("view_weights"), nb::arg("own").none(), nb::arg("xyz"), nb::arg("spacing"), nb::arg("weights"),
+               nb::arg("settings"), nb::arg("threads"), nb::arg("simd"), nb::arg("radius"), nb::arg("density"),
+               nb::arg("sh"), nb::arg("colour"), nb::arg("hidden"),
+               "Sizes: features=N,F samples=V,C,N visibility=V,N view_weights=V own=N,3 xyz=N,3 spacing=N radius=N "
+               "density=N sh=N,48 colour=N,3");
+    module.def("evaluate_heads_backward", &backward, nb::arg("features"), nb::arg("samples"), nb::arg("visibility"),
+               nb::arg("view_weights"), nb::arg("own").none(), nb::arg("xyz"), nb::arg("spacing"), nb::arg("weights"),
+               nb::arg("settings"), nb::arg("threads"), nb::arg("simd"), nb::arg("grad_radius"),
+               nb::arg("grad_density"), nb::arg("grad_sh").none(), nb::arg("grad_colour"), nb::arg("hidden"),
+               nb::arg("out_features"), nb::arg("out_samples"), nb::arg("out_own").none(), nb::arg("out_xyz"),
+               nb::arg("out_weights"),
+               "Sizes: features=N,F samples=V,C,N visibility=V,N view_weights=V own=N,3 xyz=N,3 spacing=N "
+               "grad_radius=N grad_density=N grad_sh=N,48 grad_colour=N,3 out_features=N,F out_samples=V,C,N "
+               "out_own=N,3 out_xyz=N,3");
+}
+
+}  // namespace fourd

@@ -1,0 +1,1 @@
+"""The networks of the point model as one operator (``csrc/heads``)."""

@@ -1,0 +1,82 @@
+"""The weights and settings of the point model's networks, as the operator receives them."""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass, fields
+
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class HeadWeights:
+    """Weights (outputs, inputs) and biases (outputs,) of the linear layers, for F features, layers of width H, C image
+    channels and 48 SH coefficients. The order of the fields is that of ``enum Weight`` in ``csrc/heads/heads.h``.
+
+    Attributes:
+        geometry_first: (H, F).
+        geometry_second: (H, H).
+        geometry_last: (2, H), whose outputs determine radius and density.
+        blend_point: (H, F), the part of the blend head's first layer that is the same in all views.
+        blend_image: (H, C), the other part of that layer.
+        blend_out: (1, H).
+        sh_first: (H, F).
+        sh_last: (48, H).
+    """
+
+    geometry_first: Tensor
+    geometry_first_bias: Tensor
+    geometry_second: Tensor
+    geometry_second_bias: Tensor
+    geometry_last: Tensor
+    geometry_last_bias: Tensor
+    blend_point: Tensor
+    blend_point_bias: Tensor
+    blend_image: Tensor
+    blend_out: Tensor
+    blend_out_bias: Tensor
+    sh_first: Tensor
+    sh_first_bias: Tensor
+    sh_last: Tensor
+    sh_last_bias: Tensor
+
+    @property
+    def tensors(self) -> list[Tensor]:
+        return [getattr(self, each.name) for each in fields(self)]
+
+
+@dataclass(frozen=True)
+class HeadSettings:
+    """Constants of the networks.
+
+    Attributes:
+        radius_low: smallest radius in point spacings.
+        radius_high: largest radius in point spacings.
+        radius_offset: constant that is added to the radius's logit.
+        density_offset: constant that is added to the density's logit.
+        logit_range: largest absolute value of a blend logit.
+        sh_range: largest absolute value of the colour from SH.
+        own_share: weight of a point's own colour in the views' colours, in (0, 1), or 0 to mix by visibility.
+        min_visibility: visibility weights below this value count as 0.
+        centre: position of the viewing camera in world units.
+    """
+
+    radius_low: float
+    radius_high: float
+    radius_offset: float
+    density_offset: float
+    logit_range: float
+    sh_range: float
+    own_share: float
+    min_visibility: float
+    centre: tuple[float, float, float]
+
+    @property
+    def numbers(self) -> list[float]:
+        *numbers, centre = astuple(self)
+        return [*numbers, *centre]
+
+    @classmethod
+    def of(cls, numbers: list[float]) -> HeadSettings:
+        """Create settings from the result of :attr:`numbers`."""
+        x, y, z = numbers[8:]
+        return cls(*numbers[:8], (x, y, z))

@@ -1,0 +1,192 @@
+"""The networks of the point model: the operator ``torch.ops.fourd.evaluate_heads`` and its gradient."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from fourd.rendering.ops.heads.layers import HeadSettings, HeadWeights
+from fourd.rendering.ops.heads.reference import evaluate_heads_reference
+from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import operator
+
+SH_COEFFICIENTS = 48
+PADDING = 16
+MAX_HIDDEN = 512
+Inputs = tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None, Tensor, Tensor, list[Tensor], list[float]]
+
+
+def has_heads_kernel(points: Tensor, hidden: int) -> bool:
+    """Return true if the kernel computes :func:`evaluate_heads` for layers of width ``hidden``, on the device and in
+    the dtype of the tensor ``points``. The kernel computes float32 values on the CPU."""
+    return points.device.type == "cpu" and points.dtype == torch.float32 and hidden <= MAX_HIDDEN
+
+
+def evaluate_heads(
+    features: Tensor,
+    samples: Tensor,
+    visibility: Tensor,
+    view_weights: Tensor,
+    own: Tensor | None,
+    xyz: Tensor,
+    spacing: Tensor,
+    weights: HeadWeights,
+    settings: HeadSettings,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Compute radius, density, SH coefficients and colour of N points from their features and their samples in V source
+    views.
+
+    The layers and the formulas are those of the modules in :mod:`fourd.reconstruction.model`; the reference has them in
+    one place. Where :func:`has_heads_kernel` is false, the reference computes the result.
+
+    Args:
+        features: (N, F) K-Planes features.
+        samples: (V, C, N) image features and, as the last three channels, RGB of each view at each point's projection.
+        visibility: (V, N) visibility weights in [0, 1]. Not differentiable.
+        view_weights: (V,) weights of the views in [0, 1], of which at least one is positive. Not differentiable.
+        own: (N, 3) own colours of the points, or None.
+        xyz: (N, 3) positions in world units, which determine the viewing directions of the SH.
+        spacing: (N,) distances between neighbouring points in world units. Not differentiable.
+        weights: the weights of the layers.
+        settings: the constants of the networks.
+
+    Returns:
+        radii (N,) in world units, densities (N,), SH coefficients (N, 48), and colours (N, 3). They are differentiable
+        in all other arguments, once. The gradient is bit-identical for any number of threads.
+
+    Raises:
+        ValueError: if shapes do not match.
+    """
+    if not has_heads_kernel(features, weights.geometry_first_bias.shape[0]):
+        return evaluate_heads_reference(
+            features, samples, visibility, view_weights, own, xyz, spacing, weights, settings
+        )
+    points = (features, samples, visibility, view_weights, own, xyz, spacing)
+    radius, density, sh, colour, _ = _evaluate(*points, weights.tensors, settings.numbers)
+    return radius, density, sh, colour
+
+
+def _empty_outputs(features: Tensor, weights: list[Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    count, hidden = features.shape[0], -(-weights[1].shape[0] // PADDING) * PADDING
+    shapes = ((count,), (count,), (count, SH_COEFFICIENTS), (count, 3), (count, 3 * hidden))
+    radius, density, sh, colour, first = (features.new_empty(shape) for shape in shapes)
+    return radius, density, sh, colour, first
+
+
+def _arguments(
+    features: Tensor,
+    samples: Tensor,
+    visibility: Tensor,
+    view_weights: Tensor,
+    own: Tensor | None,
+    xyz: Tensor,
+    spacing: Tensor,
+    weights: list[Tensor],
+    settings: list[float],
+) -> list[Any]:
+    arrays = [as_array(each) for each in (features, samples, visibility, view_weights)]
+    arrays += [None if own is None else as_array(own), as_array(xyz), as_array(spacing)]
+    threads = thread_count(0, torch.get_num_threads())
+    return [*arrays, [as_array(weight) for weight in weights], settings, threads, simd_name()]
+
+
+@operator("fourd::evaluate_heads", outputs=_empty_outputs, devices=("cpu",))
+def _evaluate(
+    features: Tensor,
+    samples: Tensor,
+    visibility: Tensor,
+    view_weights: Tensor,
+    own: Tensor | None,
+    xyz: Tensor,
+    spacing: Tensor,
+    weights: list[Tensor],
+    settings: list[float],
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Compute radius, density, SH, colour and the outputs of the first layers, which the gradient needs."""
+    out = _empty_outputs(features, weights)
+    inputs = _arguments(features, samples, visibility, view_weights, own, xyz, spacing, weights, settings)
+    load_native().evaluate_heads(*inputs, *(each.numpy() for each in out))
+    return out
+
+
+def _empty_gradients(
+    features: Tensor, samples: Tensor, own: Tensor | None, xyz: Tensor, weights: list[Tensor]
+) -> tuple[Tensor, Tensor, Tensor, Tensor, list[Tensor]]:
+    own_shape = (0, 3) if own is None else own.shape
+    shapes = (features.shape, samples.shape, own_shape, xyz.shape)
+    to_features, to_samples, to_own, to_xyz = (features.new_empty(shape) for shape in shapes)
+    return to_features, to_samples, to_own, to_xyz, [weight.new_empty(weight.shape) for weight in weights]
+
+
+@operator("fourd::evaluate_heads_backward", outputs=_empty_gradients, devices=("cpu",))
+def _evaluate_backward(
+    features: Tensor,
+    samples: Tensor,
+    visibility: Tensor,
+    view_weights: Tensor,
+    own: Tensor | None,
+    xyz: Tensor,
+    spacing: Tensor,
+    weights: list[Tensor],
+    settings: list[float],
+    grad_radius: Tensor,
+    grad_density: Tensor,
+    grad_sh: Tensor | None,
+    grad_colour: Tensor,
+    hidden: Tensor,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, list[Tensor]]:
+    """Compute the gradients of features, samples, own colours, positions and weights. Without own colours, their
+    gradient has no rows."""
+    out = _empty_gradients(features, samples, own, xyz, weights)
+    load_native().evaluate_heads_backward(
+        *_arguments(features, samples, visibility, view_weights, own, xyz, spacing, weights, settings),
+        as_array(grad_radius),
+        as_array(grad_density),
+        None if grad_sh is None else as_array(grad_sh),
+        as_array(grad_colour),
+        as_array(hidden),
+        out[0].numpy(),
+        out[1].numpy(),
+        None if own is None else out[2].numpy(),
+        out[3].numpy(),
+        [weight.numpy() for weight in out[4]],
+    )
+    return out
+
+
+def _setup(ctx: Any, inputs: Inputs, output: tuple[Tensor, Tensor, Tensor, Tensor, Tensor]) -> None:
+    features, samples, visibility, view_weights, own, xyz, spacing, weights, settings = inputs
+    ctx.set_materialize_grads(False)
+    ctx.mark_non_differentiable(output[4])
+    points = (features, samples, visibility, view_weights, xyz, spacing)
+    ctx.save_for_backward(*points, output[4], *([] if own is None else [own]), *weights)
+    ctx.has_own = own is not None
+    ctx.settings = settings
+
+
+def _backward(
+    ctx: Any,
+    grad_radius: Tensor | None,
+    grad_density: Tensor | None,
+    grad_sh: Tensor | None,
+    grad_colour: Tensor | None,
+    _: Tensor | None,
+) -> tuple[Any, ...]:
+    features, samples, visibility, view_weights, xyz, spacing, hidden, *rest = ctx.saved_tensors
+    own = rest[0] if ctx.has_own else None
+    weights = rest[1:] if ctx.has_own else rest
+    upstream = [
+        torch.zeros_like(spacing) if grad_radius is None else grad_radius,
+        torch.zeros_like(spacing) if grad_density is None else grad_density,
+        grad_sh,
+        torch.zeros_like(xyz) if grad_colour is None else grad_colour,
+    ]
+    to_features, to_samples, to_own, to_xyz, to_weights = _evaluate_backward(
+        features, samples, visibility, view_weights, own, xyz, spacing, weights, ctx.settings, *upstream, hidden
+    )
+    return to_features, to_samples, None, None, to_own if ctx.has_own else None, to_xyz, None, to_weights, None
+
+
+_evaluate.register_autograd(_backward, setup_context=_setup)

@@ -1,0 +1,162 @@
+"""The kernel of the point model's networks compared with plain torch: values, gradients and number of threads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fourd.rendering.ops.heads.layers import HeadSettings, HeadWeights
+from fourd.rendering.ops.heads.op import evaluate_heads
+from fourd.rendering.ops.heads.reference import evaluate_heads_reference
+from fourd.rendering.ops.loading import load_native
+
+SETTINGS = HeadSettings(0.5, 6.0, -1.8, 1.0, 5.0, 0.25, 0.6, 1e-3, (0.5, -0.25, -4.0))
+NAMES = ("radius", "density", "sh", "colour")
+
+
+def make_weights(rng: np.random.Generator, features: int, hidden: int, channels: int) -> HeadWeights:
+    def layer(rows: int, columns: int) -> list[Tensor]:
+        weight = rng.standard_normal((rows, columns)) / np.sqrt(columns)
+        return [torch.from_numpy(each.astype(np.float32)) for each in (weight, 0.3 * rng.standard_normal(rows))]
+
+    geometry = [*layer(hidden, features), *layer(hidden, hidden), *layer(2, hidden)]
+    blend = [*layer(hidden, features), layer(hidden, channels)[0], *layer(1, hidden)]
+    return HeadWeights(*geometry, *blend, *layer(hidden, features), *layer(48, hidden))
+
+
+def make_points(
+    rng: np.random.Generator, count: int, features: int, channels: int, views: int, has_own: bool
+) -> list[Tensor | None]:
+    """Return the arguments of the operator before the weights. Every fifth point is visible in no view."""
+    visibility = np.clip(rng.uniform(-0.4, 1.4, (views, count)), 0, 1)
+    visibility[:, ::5] = rng.uniform(0, 9e-4, visibility[:, ::5].shape)
+    samples = rng.standard_normal((views, channels, count))
+    samples[:, -3:] = rng.uniform(0, 1, (views, 3, count))
+    arrays = [
+        rng.standard_normal((count, features)),
+        samples,
+        visibility,
+        rng.uniform(0.1, 1, views),
+        rng.uniform(-0.5, 1.5, (count, 3)) if has_own else None,
+        rng.standard_normal((count, 3)),
+        rng.uniform(0.01, 0.1, count),
+    ]
+    return [None if each is None else torch.from_numpy(each.astype(np.float32)) for each in arrays]
+
+
+def values_and_gradients(
+    function, points: list[Tensor | None], weights: HeadWeights, settings: HeadSettings, upstream: list[Tensor]
+) -> dict[str, Tensor]:
+    names = ("features", "samples", "visibility", "view_weights", "own", "xyz", "spacing")
+    given = dict(zip(names, points, strict=True))
+    differentiable = {name: given[name] for name in ("features", "samples", "own", "xyz")}
+    leaves = {name: each.clone().requires_grad_() for name, each in differentiable.items() if each is not None}
+    free = HeadWeights(*(weight.clone().requires_grad_() for weight in weights.tensors))
+    found = function(*{**given, **leaves}.values(), free, settings)
+    total = sum((one * other.to(one)).sum() for one, other in zip(found, upstream, strict=True))
+    everything = {**leaves, **vars(free)}
+    gradients = torch.autograd.grad(total, list(everything.values()))
+    values = {name: value.detach() for name, value in zip(NAMES, found, strict=True)}
+    return {**values, **{f"gradient of {name}": each for name, each in zip(everything, gradients, strict=True)}}
+
+
+def make_upstream(rng: np.random.Generator, count: int) -> list[Tensor]:
+    shapes = [(count,), (count,), (count, 48), (count, 3)]
+    return [torch.from_numpy(rng.standard_normal(shape).astype(np.float32)) for shape in shapes]
+
+
+@pytest.mark.parametrize("simd", ["baseline", "avx2", "avx512"])
+@pytest.mark.parametrize(
+    ("count", "features", "hidden", "channels", "views", "own_share"),
+    [(1500, 144, 64, 11, 4, 0.6), (333, 96, 40, 11, 3, 0.0), (65, 7, 5, 3, 1, None), (1, 1, 1, 5, 2, 0.3)],
+)
+def test_values_and_gradients_equal_the_reference(
+    count: int,
+    features: int,
+    hidden: int,
+    channels: int,
+    views: int,
+    own_share: float | None,
+    simd: str,
+    rng: np.random.Generator,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Catches a transposed weight matrix, padding that enters a sum, a wrong derivative of an SH function, gradients
+    through clamped colours or points that no view sees, and errors in the last, incomplete block of points."""
+    if not load_native().simd_available(simd):
+        pytest.skip(f"this machine does not run {simd}")
+    monkeypatch.setenv("FOURD_SIMD", simd)
+    settings = replace(SETTINGS, own_share=own_share or 0.0)
+    weights = make_weights(rng, features, hidden, channels)
+    points = make_points(rng, count, features, channels, views, own_share is not None)
+    upstream = make_upstream(rng, count)
+    found = values_and_gradients(evaluate_heads, points, weights, settings, upstream)
+    doubles = [None if each is None else each.double() for each in points]
+    exact = HeadWeights(*(weight.double() for weight in weights.tensors))
+    expected = values_and_gradients(evaluate_heads_reference, doubles, exact, settings, upstream)
+    for name, other in expected.items():
+        # A gradient of weights is a sum over points whose terms may cancel. Rounding errors are proportional to the
+        # terms, not to the sum.
+        is_sum = name.removeprefix("gradient of ") in vars(weights)
+        scale = max(float(other.abs().max()), 0.1 * count**0.5 if is_sum else 0.0)
+        error = (found[name] - other).abs()
+        # Because of rounding, ReLU may clamp a hidden value near 0 in only one of the two implementations.
+        assert float(error.mean()) <= 3e-6 * scale, name
+        assert float((error > 1e-4 * scale).float().mean()) <= 1e-3, name
+
+
+@pytest.mark.parametrize("needed", [("colour",), ("radius", "density"), ("sh",)])
+def test_outputs_that_the_loss_does_not_use_add_nothing(needed: tuple[str, ...], rng: np.random.Generator) -> None:
+    """Catches gradients of unused outputs that are read although they do not exist."""
+    weights, points = make_weights(rng, 20, 12, 5), make_points(rng, 70, 20, 5, 2, True)
+    upstream = [each * (name in needed) for name, each in zip(NAMES, make_upstream(rng, 70), strict=True)]
+    expected = values_and_gradients(evaluate_heads, points, weights, SETTINGS, upstream)
+
+    def partial(*arguments):
+        outputs = evaluate_heads(*arguments)
+        return [one if name in needed else one.detach() for name, one in zip(NAMES, outputs, strict=True)]
+
+    found = values_and_gradients(partial, points, weights, SETTINGS, upstream)
+    assert all(torch.equal(found[name], other) for name, other in expected.items())
+
+
+def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a sum over points in an order that depends on thread scheduling."""
+    weights, points = make_weights(rng, 48, 32, 11), make_points(rng, 9001, 48, 11, 4, True)
+    upstream = make_upstream(rng, 9001)
+    results = []
+    for threads in ("1", "2", "5"):
+        monkeypatch.setenv("FOURD_THREADS", threads)
+        results.append(values_and_gradients(evaluate_heads, points, weights, SETTINGS, upstream))
+    for other in results[1:]:
+        assert all(torch.equal(value, other[name]) for name, value in results[0].items())
+
+
+def test_no_points_give_zero_gradients(rng: np.random.Generator) -> None:
+    """Catches gradients of weights that are not initialised if there are no points."""
+    weights, points = make_weights(rng, 8, 8, 11), make_points(rng, 0, 8, 11, 4, True)
+    found = values_and_gradients(evaluate_heads, points, weights, SETTINGS, make_upstream(rng, 0))
+    assert found["colour"].shape == (0, 3)
+    assert all(not value.any() for name, value in found.items() if name.startswith("gradient"))
+
+
+def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
+    """Catches a fake implementation that returns wrong shapes, and an operator schema that omits a mutated argument."""
+    weights, points = make_weights(rng, 9, 8, 5), make_points(rng, 6, 9, 5, 2, True)
+    for index in (0, 1, 4, 5):
+        points[index].requires_grad_()  # type: ignore[union-attr]
+    free = [weight.requires_grad_() for weight in weights.tensors]
+    torch.library.opcheck(torch.ops.fourd.evaluate_heads.default, (*points, free, SETTINGS.numbers))
+
+
+def test_mismatched_shapes_are_named(rng: np.random.Generator) -> None:
+    """Catches arguments of wrong shape that reach a kernel. The kernel would read past the end of an array."""
+    weights, points = make_weights(rng, 9, 8, 5), make_points(rng, 6, 9, 5, 2, True)
+    with pytest.raises(ValueError, match=r"samples: expected shape \(views, channels, points\)"):
+        evaluate_heads(points[0], points[1][:, :, :4], *points[2:], weights, SETTINGS)
+    with pytest.raises(ValueError, match="weights: expected the shapes of the layers"):
+        evaluate_heads(*points, replace(weights, sh_last=weights.sh_last[:47]), SETTINGS)
