@@ -40,6 +40,10 @@ fourd_kernel(interpolate
 fourd_kernel(meshes
   CPU tile_slots.cpp)
 
+fourd_kernel(moves
+  CPU moves.cpp
+  BINDING binding.cpp)
+
 fourd_kernel(pixel_filter
   CPU cpu/pixel_filter.cpp
   DISPATCH cpu/loops.cpp WIDEST avx512 EXACT

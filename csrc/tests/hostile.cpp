@@ -17,6 +17,7 @@
 #include "splat_triangles/cpu/workspace.h"
 #include "tests/antialias_inputs.h"
 #include "tests/hashgrid_inputs.h"
+#include "tests/heads_inputs.h"
 #include "tests/image_inputs.h"
 #include "tests/mesh_inputs.h"
 #include "tests/random_inputs.h"
@@ -319,6 +320,8 @@ int main(int count, char** arguments) {
             run_planes(seed, simd);
             run_hashgrid(seed, simd);
             run_blend(seed, simd);
+            fourd::tests::run_heads(seed, simd);
+            fourd::tests::run_moves(seed);
             run_play(seed, simd);
             run_shade(seed, simd);
             run_similarity(seed, simd);

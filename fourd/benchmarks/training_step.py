@@ -21,6 +21,7 @@ from fourd.recording.synth import make_synthetic
 POINTS = 65_536
 SIZE = 512
 CAMERAS = 6
+DEFAULT = TrainConfig(points=POINTS, max_steps=10_000)
 
 
 def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
@@ -32,9 +33,8 @@ def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
     The capture is in a temporary folder, which is removed when ``resources`` is closed.
     """
     retain_freed_memory()
-    folder = Path(resources.enter_context(TemporaryDirectory(prefix="fourd-bench-")))
-    make_synthetic(folder / "capture", frames=1, cameras=CAMERAS, size=SIZE, seed=0, gloss=0.3)
-    default = TrainConfig(points=POINTS, max_steps=10_000)
+    folder = _make_capture(resources)
+    default = DEFAULT
     whole = replace(default, crop="full", hidden_weight=0.0, least_layers=default.layers)
     size = f"{POINTS:,} points, {SIZE} x {SIZE}, {default.model.neighbours} source views"
     for name, config in (("the foreground's box, visible points", default), ("whole pictures, all points", whole)):
@@ -42,6 +42,19 @@ def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
         for learning in (False, True):
             encoder = "image CNN learning" if learning else "image CNN frozen"
             yield f"training step, {size}: {name}, {encoder}", _step(run, config, learning)
+
+
+def synthetic_run(resources: ExitStack) -> Run:
+    """Create a run with the default config, in a temporary folder that is removed when ``resources`` is closed."""
+    folder = _make_capture(resources)
+    return create_run(folder / "capture", folder / "run", DEFAULT)
+
+
+def _make_capture(resources: ExitStack) -> Path:
+    """Return a temporary folder in which ``capture`` is a synthetic capture."""
+    folder = Path(resources.enter_context(TemporaryDirectory(prefix="fourd-bench-")))
+    make_synthetic(folder / "capture", frames=1, cameras=CAMERAS, size=SIZE, seed=0, gloss=0.3)
+    return folder
 
 
 def _step(run: Run, config: TrainConfig, learning: bool) -> Work:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from rich.console import Console
 
 from fourd.benchmarks.cases import composite
 from fourd.benchmarks.machine import this_machine
@@ -16,8 +17,12 @@ from fourd.benchmarks.meshes import antialiasing, interpolating, make_mesh, proj
 from fourd.benchmarks.report import Row, markdown, to_json
 from fourd.benchmarks.textures import make_textured_plane, trilinear_texture
 from fourd.benchmarks.timing import Clock, Timing
+from fourd.benchmarks.training_profile import profile_training, serial_share, tables
 from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud, make_planes
 from fourd.cli.main import main
+from fourd.pipeline.make import create_run
+from fourd.reconstruction.training.config import TrainConfig
+from fourd.recording.synth import make_synthetic
 from fourd.rendering.ops.planes.op import sample_planes
 from fourd.rendering.triangles import rasterize
 from fourd.scene.player import Player
@@ -110,3 +115,31 @@ def test_the_textured_plane_needs_mip_levels() -> None:
     assert 4 < float(longer.max()) < 5
     assert trilinear_texture(32, False)().shape == (1, 32, 32, 3)  # type: ignore[attr-defined]
     assert all(gradient.abs().max() > 0 for gradient in trilinear_texture(32, True)())  # type: ignore[attr-defined]
+
+
+def test_serial_share_follows_amdahls_law() -> None:
+    """Catches a wrong formula: half of the work on one thread makes two threads 4/3 times as fast."""
+    assert serial_share(100, 75, 2) == pytest.approx(0.5)
+    assert serial_share(100, 100 / 8, 8) == pytest.approx(0)
+
+
+def test_training_profile_counts_the_operators_of_a_step(tmp_path: Path) -> None:
+    """Catches steps without operators, backward operators that are counted as forward ones, and times per step that are
+    sums over all steps."""
+    make_synthetic(tmp_path / "capture", frames=1, cameras=4, size=64, seed=0)
+    config = TrainConfig(points=500, max_steps=10)
+    run = create_run(tmp_path / "capture", tmp_path / "run", config)
+    found = profile_training(run, config, torch.device("cpu"), steps=2)
+    heads = next(row for row in found.operators if row.name == "fourd::evaluate_heads")
+    assert heads.forward_ms > 0
+    assert heads.backward_ms > 0
+    assert heads.events > 2
+    assert 50 < sum(row.events for row in found.operators) <= found.events < 3000
+    assert found.between_ms > 0
+    assert min(found.step_ms) == 1
+    assert found.gpu is None
+    assert not list((tmp_path / "run" / "checkpoints").glob("*.safetensors"))
+    console = Console(width=120, record=True)
+    for table in tables(found):
+        console.print(table)
+    assert "fourd::evaluate_heads" in console.export_text()

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from fourd.base.errors import UserError
 from fourd.base.files import write_text_atomically
 from fourd.base.progress import Terminal
 from fourd.benchmarks.cases import cases
@@ -18,8 +19,12 @@ from fourd.benchmarks.machine import this_machine
 from fourd.benchmarks.peers import missing_peers
 from fourd.benchmarks.report import Row, markdown, table, to_json
 from fourd.benchmarks.timing import Clock
+from fourd.benchmarks.training_profile import profile_training, tables
+from fourd.benchmarks.training_step import synthetic_run
 from fourd.cli.options import option
 from fourd.cli.outputs import WRITES_JSON, Writes
+from fourd.reconstruction.training.run import open_run
+from fourd.rendering.ops.gpu import DeviceName, choose_device
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,13 @@ class Arguments:
     """Write all measurements to this file as JSON."""
     markdown: Annotated[Path | None, Writes(suffixes=(".md", ".markdown")), option("FILE", "none")] = None
     """Write the table to this file as Markdown."""
+    training: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Instead of the benchmarks, profile training steps of a synthetic capture or, with --run, of a run: the time of
+    each operator, the operator events of a step, and the part of a step that uses only one thread."""
+    run: Annotated[Path | None, option("RUN", "a synthetic capture")] = None
+    """Run folder whose training steps are profiled, with --training. The run is not changed."""
+    device: DeviceName = "auto"
+    """Device of the training steps that are profiled."""
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Run in less than a minute: fewer repetitions, no whole training steps, no timing of other implementations."""
 
@@ -42,7 +54,12 @@ def run(arguments: Arguments) -> None:
     """Measure the run time of all cases, and print the table."""
     console = Terminal()
     machine = this_machine()
+    if arguments.run is not None and not arguments.training:
+        raise UserError("--run: expected --training beside it, got neither a profile nor a benchmark; add --training")
     console.print(str(machine), soft_wrap=True)
+    if arguments.training:
+        _profile(arguments, console)
+        return
     clock = Clock(seconds=1.0 if arguments.quick else 6.0)
     rows: list[Row] = []
     with ExitStack() as resources, console.status("") as status:
@@ -56,3 +73,13 @@ def run(arguments: Arguments) -> None:
         write_text_atomically(arguments.json, to_json(rows, machine))
     if arguments.markdown is not None:
         write_text_atomically(arguments.markdown, markdown(rows, machine))
+
+
+def _profile(arguments: Arguments, console: Terminal) -> None:
+    with ExitStack() as resources:
+        run = synthetic_run(resources) if arguments.run is None else open_run(arguments.run)
+        config = replace(run.config.train, max_steps=run.config.train.max_steps or 1)
+        steps = 6 if arguments.quick else 30
+        for table_ in tables(profile_training(run, config, choose_device(arguments.device), steps)):
+            console.print(table_)
+            console.print()

@@ -17,6 +17,7 @@ from fourd.reconstruction.training.config import TrainConfig
 from fourd.reconstruction.training.distributed.process_group import ALONE, ProcessGroup
 from fourd.reconstruction.training.losses.lpips import LPIPS
 from fourd.reconstruction.training.losses.term import RenderedStep, weighted_values
+from fourd.reconstruction.training.points.dense_adam import DenseAdam
 from fourd.reconstruction.training.points.densification import accumulate_gradient_magnitudes
 from fourd.reconstruction.training.points.frame_points import FramePoints
 from fourd.reconstruction.training.points.near_plane import revert_moves_before_near
@@ -58,7 +59,7 @@ class Stepper:
         self.group = group
         self.terms = scene.loss_terms(lpips, refinement)
         planes, others = parameters_by_kind(scene.models.values())
-        self.optimizer = torch.optim.Adam(
+        self.optimizer = DenseAdam(
             [
                 {"params": planes, "lr": config.rates.planes, "base": config.rates.planes},
                 {"params": others, "lr": config.rates.mlps, "base": config.rates.mlps},
@@ -139,7 +140,13 @@ class Stepper:
         )
 
     def _update(self, evaluated: Sequence[OptimizedPoints], terms: dict[str, Tensor], rate_factor: float) -> None:
-        torch.stack(list(terms.values())).sum().backward()
+        leaves = [leaf for each in evaluated for leaf in each.parameters.values()]
+        # Backward() would add each gradient to the tensor's attribute with operators of its own.
+        gradients = torch.autograd.grad(
+            torch.stack(list(terms.values())).sum(), [*self.dense_parameters, *leaves], allow_unused=True
+        )
+        for tensor, gradient in zip([*self.dense_parameters, *leaves], gradients, strict=True):
+            tensor.grad = gradient
         self.group.average_gradients(self.dense_parameters)
         for group in self.optimizer.param_groups:
             group["lr"] = group["base"] * rate_factor * self.group.rate_factor
@@ -147,15 +154,13 @@ class Stepper:
         # Gradients are deleted here, because keeping them until the next step would fragment the heap.
         self.optimizer.zero_grad(set_to_none=True)
         for each in evaluated:
-            gradients = {
-                name: torch.nan_to_num(leaf.grad) for name, leaf in each.parameters.items() if leaf.grad is not None
-            }
+            found = {name: leaf.grad.contiguous() for name, leaf in each.parameters.items() if leaf.grad is not None}
             colour_rate = self.config.rates.sh * rate_factor
             rates: dict[str, float | Tensor] = {"sh": colour_rate, "rgb": colour_rate}
             rates["xyz"] = self.scene.xyz_rate(each, rate_factor)
             with torch.no_grad():
-                each.cloud.optimizer.step(each.cloud.parameters, each.rows, gradients, rates)
-                accumulate_gradient_magnitudes(each.cloud, each.rows, gradients["xyz"])
+                each.cloud.optimizer.step(each.cloud.parameters, each.rows, found, rates)
+                accumulate_gradient_magnitudes(each.cloud, each.rows, found["xyz"])
         self.update_cameras()
         self.scene.finish_step()
 

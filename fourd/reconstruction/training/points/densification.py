@@ -13,6 +13,7 @@ from torch import Tensor
 from fourd.reconstruction.training.config import DensifyConfig
 from fourd.reconstruction.training.points.frame_points import FramePoints
 from fourd.reconstruction.training.points.spacing import point_spacings
+from fourd.rendering.ops.moves import add_magnitudes, has_kernels
 
 NEIGHBOURS = 3
 """A point that is split (the parent) gets a partner, which is chosen at random from this number of nearest neighbours.
@@ -37,10 +38,13 @@ def accumulate_gradient_magnitudes(points: FramePoints, rows: Tensor, gradient: 
     magnitudes of points in dense regions and in sparse regions can be compared. In contrast, Kerbl et al. 2023, sec.
     5.2, split points with large view-space gradients.
     """
-    magnitude = gradient.norm(dim=1) * points.spacing[rows]
+    points.age += 1
+    if has_kernels(rows, gradient, points.spacing, points.gradient_sum, points.visible_steps):
+        add_magnitudes(rows, gradient, points.spacing, points.gradient_sum, points.visible_steps)
+        return
+    magnitude = torch.nan_to_num(gradient).norm(dim=1) * points.spacing[rows]
     points.gradient_sum[rows] += magnitude
     points.visible_steps[rows] += (magnitude > 0).float()
-    points.age += 1
 
 
 def unobserved_points(points: FramePoints, patience: int) -> Tensor:

@@ -26,6 +26,7 @@ from fourd.reconstruction.training.points.frame_points import FramePoints
 from fourd.reconstruction.training.run_layout import BACKGROUND, NEAR
 from fourd.recording.capture.focus import median_distance, viewing_centre
 from fourd.recording.capture.layout import sample_indices
+from fourd.rendering.ops.moves import has_kernels, keep_beyond
 
 NEAREST_SHARE = 0.5
 """Depth of the near plane, as a fraction of the depth of the nearest surface that a camera sees."""
@@ -128,6 +129,9 @@ def revert_moves_before_near(points: FramePoints, rows: Tensor, before: Tensor, 
         camera: the camera whose view was trained.
         near: depth of the near plane in world units.
     """
+    if has_kernels(rows, points.xyz, before):
+        keep_beyond(rows, points.xyz, before, camera, near)
+        return
     moved = points.xyz[rows]
     axis = torch.tensor(camera.forward, dtype=moved.dtype, device=moved.device)
     depth = (moved - torch.tensor(camera.centre, dtype=moved.dtype, device=moved.device)) @ axis

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from fourd.reconstruction.training.memory import tensor_outside_heap
+from fourd.rendering.ops.moves import adam_rows, has_kernels
 
 BETAS = (0.9, 0.99)
 EPSILON = 1e-15
@@ -52,9 +53,16 @@ class SelectiveAdam:
         Args:
             parameters: name -> parameters (N, C).
             rows: (M,) indices of the rows to update, without duplicates, or a slice of the rows.
-            gradients: name -> gradients (M, C). Parameters without a gradient keep their values.
+            gradients: name -> gradients (M, C), in which NaN counts as 0. Parameters without a gradient keep their
+                values.
             rates: name -> learning rate in the parameter's units, as one number or as a tensor (M, 1).
         """
+        epsilons = {name: EPSILONS.get(name, EPSILON) for name in gradients}
+        arrays = [*gradients.values(), *(parameters[name] for name in gradients)]
+        if isinstance(rows, Tensor) and has_kernels(rows, self.steps, *arrays):
+            adam_rows(rows, self.steps, parameters, self.moments, gradients, rates, epsilons, self.betas)
+            return
+        gradients = {name: torch.nan_to_num(gradient) for name, gradient in gradients.items()}
         self.steps[rows] += 1
         steps = self.steps[rows][:, None]
         for name, gradient in gradients.items():
@@ -62,7 +70,7 @@ class SelectiveAdam:
             first = moments[0, rows].lerp(gradient, 1 - self.betas[0])
             second = moments[1, rows].lerp(gradient.square(), 1 - self.betas[1])
             moments[0, rows], moments[1, rows] = first, second
-            scale = (second / (1 - self.betas[1] ** steps)).sqrt() + EPSILONS.get(name, EPSILON)
+            scale = (second / (1 - self.betas[1] ** steps)).sqrt() + epsilons[name]
             parameters[name][rows] -= rates[name] * first / (1 - self.betas[0] ** steps) / scale
 
     def keep_rows(self, kept: Tensor, new_count: int) -> None:

@@ -11,6 +11,7 @@ from torch.nn import functional
 from fourd.base.cameras import Camera
 from fourd.reconstruction.model.sources import project_points
 from fourd.reconstruction.training.points.frame_points import FramePoints
+from fourd.rendering.ops.moves import has_kernels, keep_in_silhouettes
 
 
 def revert_moves_out_of_silhouettes(
@@ -28,6 +29,9 @@ def revert_moves_out_of_silhouettes(
         views: groups of views. Each group consists of V pinhole cameras with equal image sizes, and their mattes (V, H,
             W) in [0, 1].
     """
+    if has_kernels(rows, points.xyz, before, *(mattes for _, mattes in views)):
+        keep_in_silhouettes(rows, points.xyz, before, views)
+        return
     moved = points.xyz[rows]
     left = torch.zeros(len(rows), dtype=torch.bool, device=moved.device)
     for cameras, mattes in views:

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from fourd.reconstruction.training.memory import tensor_outside_heap
 from fourd.reconstruction.training.points.frame_points import FramePoints
+from fourd.rendering.ops.moves import has_kernels, smooth_rows
 from fourd.rendering.ops.neighbours import nearest_neighbours
 
 NEIGHBOURS = 16
@@ -61,6 +62,10 @@ def smooth_surface(points: FramePoints, rows: Tensor, rates: Tensor, strength: f
         points.local_planes = tensor_outside_heap(fit.planes)
         isolated = fit.reach > ISOLATION_SPACINGS * points.spacing
         points.parameters["xyz"][isolated] = fit.middle[isolated]
+    if has_kernels(rows, points.xyz, points.local_planes, points.spacing, rates):
+        limits = {"strength": strength, "tolerance": TOLERANCE, "max_share": MAX_SHARE}
+        smooth_rows(rows, points.xyz, points.local_planes, points.spacing, rates, **limits)
+        return
     xyz, planes, spacing = points.xyz[rows], points.local_planes[rows], points.spacing[rows]
     height = (planes[:, :3] * xyz).sum(dim=1) - planes[:, 3]
     excess = height - height.clamp(-TOLERANCE * spacing, TOLERANCE * spacing)

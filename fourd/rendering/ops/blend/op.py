@@ -51,7 +51,7 @@ def _arguments(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias
 )
 def _logits(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor) -> Tensor:
     logits = point.new_empty(samples.shape[0], point.shape[0])
-    load_native().blend_logits(*_arguments(point, samples, weight, out, bias), logits.numpy())
+    load_native().blend_logits(*_arguments(point, samples, weight, out, bias), as_array(logits))
     return logits
 
 
@@ -71,7 +71,7 @@ def _logits_backward(
         *_arguments(point, samples, weight, out, bias),
         as_array(logits),
         as_array(gradient),
-        *[target.numpy() for target in targets],
+        *[as_array(target) for target in targets],
     )
     gradients[2].copy_(grad_weight.T)
     return gradients

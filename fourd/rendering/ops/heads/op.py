@@ -107,7 +107,7 @@ def _evaluate(
     """Compute radius, density, SH, colour and the outputs of the first layers, which the gradient needs."""
     out = _empty_outputs(features, weights)
     inputs = _arguments(features, samples, visibility, view_weights, own, xyz, spacing, weights, settings)
-    load_native().evaluate_heads(*inputs, *(each.numpy() for each in out))
+    load_native().evaluate_heads(*inputs, *(as_array(each) for each in out))
     return out
 
 
@@ -147,11 +147,11 @@ def _evaluate_backward(
         None if grad_sh is None else as_array(grad_sh),
         as_array(grad_colour),
         as_array(hidden),
-        out[0].numpy(),
-        out[1].numpy(),
-        None if own is None else out[2].numpy(),
-        out[3].numpy(),
-        [weight.numpy() for weight in out[4]],
+        as_array(out[0]),
+        as_array(out[1]),
+        None if own is None else as_array(out[2]),
+        as_array(out[3]),
+        [as_array(weight) for weight in out[4]],
     )
     return out
 

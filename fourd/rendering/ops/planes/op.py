@@ -74,7 +74,7 @@ def _sample(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) 
         return out
     threads = thread_count(0, torch.get_num_threads())
     arrays = [as_array(plane) for plane in planes]
-    load_native().sample_planes(as_array(coordinates), arrays, list(axes), threads, simd_name(), out.numpy())
+    load_native().sample_planes(as_array(coordinates), arrays, list(axes), threads, simd_name(), as_array(out))
     return out
 
 
@@ -105,8 +105,8 @@ def _sample_backward(
         thread_count(0, torch.get_num_threads()),
         simd_name(),
         as_array(gradient),
-        [plane.numpy() for plane in grad_planes],
-        grad_coordinates.numpy() if needs_coordinates else None,
+        [as_array(plane) for plane in grad_planes],
+        as_array(grad_coordinates) if needs_coordinates else None,
     )
     return grad_planes, grad_coordinates
 
