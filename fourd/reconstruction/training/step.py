@@ -87,9 +87,12 @@ class Stepper:
         evaluated = self.scene.evaluate_step(points, time, sample, target.camera, number)
         colour, rendered = self._render(evaluated, target, time, sample, number)
         terms = weighted_values(self.terms, rendered)
-        _require_finite(terms, number)
+        # All terms are read at once, because each reading waits for a GPU.
+        stacked = torch.stack(list(terms.values()))
+        values = dict(zip(terms, stacked.detach().tolist(), strict=True))
+        _require_finite(values, number)
         before = [each.parameters["xyz"].detach() for each in evaluated]
-        self._update(evaluated, terms, rate_factor)
+        self._update(evaluated, stacked.sum(), rate_factor)
         with torch.no_grad():
             if self.config.smoothing > 0 and target.matte is not None:
                 rates = self.scene.xyz_rate(evaluated[0], rate_factor)
@@ -104,7 +107,7 @@ class Stepper:
             shown, truth = (rendered.prediction, rendered.truth) if target.fills_picture else (colour, target.rgb)
             error = float((shown.clamp(0, 1) - truth).square().mean())
         psnr = -10 * math.log10(max(error, 1e-10))
-        return StepResult({name: float(value.detach()) for name, value in terms.items()}, psnr)
+        return StepResult(values, psnr)
 
     @property
     def dense_parameters(self) -> list[Tensor]:
@@ -139,14 +142,10 @@ class Stepper:
             number, time, sample, prediction, truth, coverage, target.matte, sh, first.displacement
         )
 
-    def _update(self, evaluated: Sequence[OptimizedPoints], terms: dict[str, Tensor], rate_factor: float) -> None:
-        leaves = [leaf for each in evaluated for leaf in each.parameters.values()]
-        # Backward() would add each gradient to the tensor's attribute with operators of its own.
-        gradients = torch.autograd.grad(
-            torch.stack(list(terms.values())).sum(), [*self.dense_parameters, *leaves], allow_unused=True
+    def _update(self, evaluated: Sequence[OptimizedPoints], loss: Tensor, rate_factor: float) -> None:
+        _set_gradients(
+            loss, [*self.dense_parameters, *(leaf for each in evaluated for leaf in each.parameters.values())]
         )
-        for tensor, gradient in zip([*self.dense_parameters, *leaves], gradients, strict=True):
-            tensor.grad = gradient
         self.group.average_gradients(self.dense_parameters)
         for group in self.optimizer.param_groups:
             group["lr"] = group["base"] * rate_factor * self.group.rate_factor
@@ -173,16 +172,24 @@ def parameters_by_kind(models: Collection[nn.Module]) -> tuple[list[nn.Parameter
     return [each for each in parameters if id(each) in planes], [each for each in parameters if id(each) not in planes]
 
 
+def _set_gradients(loss: Tensor, leaves: Sequence[Tensor]) -> None:
+    """Set the attribute ``grad`` of the leaves, as ``loss.backward()`` does for leaves without a gradient. In contrast
+    to ``backward()``, no operators are called for each leaf."""
+    free = [leaf for leaf in leaves if leaf.requires_grad]
+    for leaf, gradient in zip(free, torch.autograd.grad(loss, free, allow_unused=True), strict=True):
+        leaf.grad = gradient
+
+
 def _silhouettes(camera: Camera, matte: Tensor, points: OptimizedPoints) -> list[tuple[tuple[Camera, ...], Tensor]]:
     """Return the cameras and mattes of the step's target view and of its source views."""
     target = ((camera,), matte[None])
     return [target] if points.sources is None else [target, (points.sources.cameras, points.sources.mattes)]
 
 
-def _require_finite(terms: dict[str, Tensor], number: int) -> None:
-    bad = [name for name, value in terms.items() if not bool(torch.isfinite(value))]
+def _require_finite(terms: dict[str, float], number: int) -> None:
+    bad = [name for name, value in terms.items() if not math.isfinite(value)]
     if bad:
         raise UserError(
-            f"step {number}: expected a finite loss, got {float(terms[bad[0]].detach())} in the term '{bad[0]}'; "
+            f"step {number}: expected a finite loss, got {terms[bad[0]]} in the term '{bad[0]}'; "
             f"the last checkpoint is intact: resume with --resume and lower learning rates"
         )

@@ -74,9 +74,3 @@ class HeadSettings:
     def numbers(self) -> list[float]:
         *numbers, centre = astuple(self)
         return [*numbers, *centre]
-
-    @classmethod
-    def of(cls, numbers: list[float]) -> HeadSettings:
-        """Create settings from the result of :attr:`numbers`."""
-        x, y, z = numbers[8:]
-        return cls(*numbers[:8], (x, y, z))
