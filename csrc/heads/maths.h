@@ -31,8 +31,8 @@ FOURD_HD FOURD_INLINE float fast_exp(float x) {
 
 // Adds the gradient of a direction (x, y, z) to `out`. `q[i * stride]` is the gradient of SH function i.
 // The functions are those of directional_terms() in fourd/rendering/ops/shade/harmonics.py.
-FOURD_HD FOURD_INLINE void sh_basis_backward(float x, float y, float z, const float* q, int stride, float* gx, float* gy,
-                                             float* gz) {
+FOURD_HD FOURD_INLINE void sh_basis_backward(float x, float y, float z, const float* q, int stride, float* gx,
+                                             float* gy, float* gz) {
     const float xx = x * x, yy = y * y, zz = z * z, xy = x * y, yz = y * z, xz = x * z;
     constexpr float a = 0.4886025119029199f, b = 1.0925484305920792f, c = 0.31539156525252005f, d = 0.5462742152960396f;
     constexpr float e = 0.5900435899266435f, f = 2.890611442640554f, g = 0.4570457994644658f, h = 0.3731763325901154f;
@@ -43,8 +43,9 @@ FOURD_HD FOURD_INLINE void sh_basis_backward(float x, float y, float z, const fl
     const float q15 = q[15 * stride];
     *gx = -a * q3 + b * (y * q4 - z * q7) + 2 * x * (d * q8 - c * q6) + f * yz * q10 + xy * (2 * g * q11 - 6 * e * q9) +
           xz * (2 * k * q14 - 6 * h * q12) - g * (4 * zz - 3 * xx - yy) * q13 - 3 * e * (xx - yy) * q15;
-    *gy = -a * q1 + b * (x * q4 - z * q5) - 2 * y * (d * q8 + c * q6) + f * xz * q10 + xy * (2 * g * q13 + 6 * e * q15) -
-          yz * (2 * k * q14 + 6 * h * q12) - g * (4 * zz - xx - 3 * yy) * q11 - 3 * e * (xx - yy) * q9;
+    *gy = -a * q1 + b * (x * q4 - z * q5) - 2 * y * (d * q8 + c * q6) + f * xz * q10 +
+          xy * (2 * g * q13 + 6 * e * q15) - yz * (2 * k * q14 + 6 * h * q12) - g * (4 * zz - xx - 3 * yy) * q11 -
+          3 * e * (xx - yy) * q9;
     *gz = a * q2 - b * (y * q5 + x * q7) + 4 * c * z * q6 + f * xy * q10 - 8 * g * (yz * q11 + xz * q13) +
           3 * h * (2 * zz - xx - yy) * q12 + k * (xx - yy) * q14;
 }

@@ -17,7 +17,6 @@
 #include "splat_triangles/cpu/workspace.h"
 #include "tests/antialias_inputs.h"
 #include "tests/hashgrid_inputs.h"
-#include "tests/heads_inputs.h"
 #include "tests/image_inputs.h"
 #include "tests/mesh_inputs.h"
 #include "tests/random_inputs.h"
@@ -25,6 +24,7 @@
 #include "tests/source_inputs.h"
 #include "tests/splat_inputs.h"
 #include "tests/texture_inputs.h"
+#include "tests/training/step_inputs.h"
 #include "tests/unpack_inputs.h"
 
 namespace {

@@ -187,7 +187,9 @@ void unpack(const Sizes& sizes, const Sums& sums, float* const* out) {
     copy_out_rows(sums.last, h, shape(kGeometryLast), out[kGeometryLast]);
     copy_out_rows(sums.sh, h, shape(kShLast), out[kShLast]);
     for (int r = 0; r < sizes.hidden; ++r) {
-        for (int c = 0; c < sizes.channels; ++c) out[kBlendImage][r * sizes.channels + c] = sums.image_columns[c * h + r];
+        for (int c = 0; c < sizes.channels; ++c) {
+            out[kBlendImage][r * sizes.channels + c] = sums.image_columns[c * h + r];
+        }
     }
     std::copy_n(sums.second_bias, sizes.hidden, out[kGeometrySecondBias]);
     std::copy_n(sums.last_bias, 2, out[kGeometryLastBias]);

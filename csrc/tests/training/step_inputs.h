@@ -66,7 +66,8 @@ inline void run_moves(unsigned seed) {
     Floats steps(count), sum(count), seen(count);
     const Floats before = random_floats(random, 3 * indices.size(), -1, 1, 0.1f);
     const Floats gradient = random_floats(random, 3 * indices.size(), -1, 1, 0.2f);
-    const Floats planes = random_floats(random, 4 * count, -1, 1, 0.1f), spacing = random_floats(random, count, 0, 1, 0.1f);
+    const Floats planes = random_floats(random, 4 * count, -1, 1, 0.1f);
+    const Floats spacing = random_floats(random, count, 0, 1, 0.1f);
     const Floats rates = random_floats(random, indices.size(), 0, 1, 0), matte = random_floats(random, 7 * 5, 0, 1, 0);
     moves::adam_rows(rows, steps.data(),
                      {{xyz.data(), first.data(), second.data(), gradient.data(), rates.data(), false, 3, 1e-15f}},
