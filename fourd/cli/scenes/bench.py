@@ -22,7 +22,7 @@ from fourd.benchmarks.timing import Clock
 from fourd.benchmarks.training_profile import profile_training, tables
 from fourd.benchmarks.training_step import synthetic_run
 from fourd.cli.options import option
-from fourd.cli.outputs import WRITES_JSON, Writes
+from fourd.cli.outputs import READS, WRITES_JSON, Writes
 from fourd.reconstruction.training.run import open_run
 from fourd.rendering.ops.gpu import DeviceName, choose_device
 
@@ -42,7 +42,7 @@ class Arguments:
     training: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Instead of the benchmarks, profile training steps of a synthetic capture or, with --run, of a run: the time of
     each operator, the operator events of a step, and the part of a step that uses only one thread."""
-    run: Annotated[Path | None, option("RUN", "a synthetic capture")] = None
+    run: Annotated[Path | None, READS, option("RUN", "a synthetic capture")] = None
     """Run folder whose training steps are profiled, with --training. The run is not changed."""
     device: DeviceName = "auto"
     """Device of the training steps that are profiled."""
