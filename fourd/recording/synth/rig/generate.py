@@ -8,6 +8,7 @@ import json
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -178,6 +179,8 @@ def _record_frames(
     view = source.open_view(index)
     on_stage = make_stage(source.cameras).camera(source.cameras[index])
 
+    # Successive frames of a given capture share knots.
+    @lru_cache(maxsize=4)
     def moment(knot: int) -> Moment:
         seconds = knot / source.knots_per_frame / float(source.rate)
         return view(knot, render_walkers(walkers, on_stage, seconds) if walkers else None)

@@ -26,6 +26,9 @@ PATH_RADIUS_M = 4.9
 SPEED_M_S = 1.3
 STRIDE_M = 1.35
 """Distance that a person walks in one gait cycle."""
+NEAREST_M = 1.2
+"""Depth from which on people are rendered. At a smaller depth, a person on the circle is at least 70 degrees away from
+the optical axis of a camera of the ring."""
 ARC_SHARE = 0.3
 """Cameras whose mean is farther from the middle than this fraction of their distance are on one side of the scene. The
 people then walk on the other side, where the cameras see them."""
@@ -104,7 +107,14 @@ def pose_walker(walker: Walker, seconds: float) -> list[Part]:
 
 def render_walkers(walkers: Sequence[Walker], camera: Camera, seconds: float) -> Layer:
     """Render the people at a time. ``camera`` is in the coordinates of the stage."""
-    parts = [part for walker in walkers for part in pose_walker(walker, seconds)]
+    people = [pose_walker(walker, seconds) for walker in walkers]
+    parts = [part for person in people if _is_ahead(person, camera) for part in person]
     black = np.zeros((camera.height, camera.width, 3))
     rgb, coverage, _ = composite_parts(parts, camera, black, 0.0)
     return Layer(rgb, coverage)
+
+
+def _is_ahead(person: Sequence[Part], camera: Camera) -> bool:
+    """Return whether a person is far enough before a camera's plane to be seen. Others, who pass beside the camera,
+    would make rendering slow: their parts may extend to both sides of the plane."""
+    return float(camera.forward @ (person[0].origin - camera.centre)) > NEAREST_M
