@@ -1,5 +1,5 @@
 """Make a synthetic capture with ground truth: a textured figure runs and leaps inside a ring of cameras, or two people
-stand and walk in a dome."""
+stand and walk in a dome. With --rig, record a clean capture as a real rig would."""
 
 from __future__ import annotations
 
@@ -14,12 +14,15 @@ from fourd.base.errors import UserError
 from fourd.base.processes import locked_folder
 from fourd.base.progress import Terminal, Tracker
 from fourd.cli.options import option
-from fourd.cli.outputs import WRITES
+from fourd.cli.outputs import READS, WRITES
 from fourd.recording.capture.frame_rate import DEFAULT_FPS
 from fourd.recording.synth import SynthSettings, make_synthetic
 from fourd.recording.synth.board_videos import BoardSettings, make_board_videos
 from fourd.recording.synth.dome import DomeSettings, make_dome, suggested_test_views
 from fourd.recording.synth.folder import has_finished, read_settings
+from fourd.recording.synth.rig import FACTORS, USUAL, make_rig_capture, parse_factors
+from fourd.recording.synth.rig.generate import stored_settings
+from fourd.recording.synth.rig.settings import Codec
 
 FRAMES_HELP = "Number N of frames. The figure's motion repeats after N frames."
 CAMERAS_HELP = (
@@ -28,6 +31,12 @@ CAMERAS_HELP = (
 SIZE_HELP = (
     "Width and height of the images in pixels, 32 to 4096. With --board, the minimum is 128. With --dome, the minimum "
     "is 64, and the height is 9/16 of the width."
+)
+RIG_HELP = (
+    "Record the figure, or the capture of --from, as a real rig would. NAME or NAME=VALUE selects a factor; without a "
+    "name, all factors are selected. 0 switches a factor off: all,people=0. Names and usual strengths: "
+    + ", ".join(f"{name}={getattr(USUAL, name.replace('-', '_')):g}" for name in FACTORS)
+    + ". The truth is written to OUT/truth/."
 )
 
 
@@ -56,6 +65,17 @@ class Arguments:
     """Frame rate of the capture in frames per second."""
     masks: bool = True
     """With --dome, --no-masks makes a capture without masks. The true masks are then in OUT/truth/masks/."""
+    rig: Annotated[tuple[str, ...] | None, option("[NAME[=VALUE],...]", "none", RIG_HELP)] = None
+    from_: Annotated[
+        Path | None,
+        READS,
+        tyro.conf.arg(name="from", metavar="CAPTURE", help_behavior_hint="(default: the figure in the ring)"),
+    ] = None
+    """With --rig: an existing clean capture to record. It is not changed."""
+    codec: Annotated[Codec | None, option("{h264,hevc}", "h264", "With --rig: format of the videos.")] = None
+    mbps: Annotated[
+        float | None, option("FLOAT", "constant quality", "With --rig: bit rate of each video in Mbit/s.")
+    ] = None
 
 
 def run(arguments: Arguments) -> None:
@@ -69,7 +89,16 @@ def _make(arguments: Arguments) -> None:
         raise UserError("--dome: expected one of --board and --dome, got both; leave out one of them")
     if not arguments.masks and not arguments.dome:
         raise UserError("--no-masks: expected the option --dome, got a capture without it; leave out --no-masks")
-    if arguments.board:
+    if arguments.rig is None:
+        given = [name for name, value in _rig_options(arguments) if value is not None]
+        if given:
+            raise UserError(f"--{given[0]}: expected the option --rig, got a capture without it; add --rig")
+    elif arguments.board or arguments.dome:
+        other = "--board" if arguments.board else "--dome"
+        raise UserError(f"--rig: expected no {other}, got both; make the other capture first, and name it with --from")
+    if arguments.rig is not None:
+        _make_rig(arguments, arguments.rig)
+    elif arguments.board:
         _make_board(arguments)
     elif arguments.dome:
         _make_dome(arguments)
@@ -97,10 +126,32 @@ def _make_dome(arguments: Arguments) -> None:
     console.print(f"Cameras with neighbours on all sides: --test-views {views}", soft_wrap=True)
 
 
+def _make_rig(arguments: Arguments, words: tuple[str, ...]) -> None:
+    console = Terminal(stderr=True)
+    settings = parse_factors(words, codec=arguments.codec or "h264", mbps=arguments.mbps, seed=arguments.seed)
+    clean = arguments.from_ or _ring_settings(arguments)
+    if arguments.from_ is not None:
+        unused = {"frames": None, "cameras": None, "size": None, "gloss": SynthSettings.gloss, "fps": DEFAULT_FPS}
+        for name, default in unused.items():
+            if getattr(arguments, name) != default:
+                raise UserError(f"--{name}: expected no such option with --from, got one; leave it out")
+    if _needs_making(arguments.out, stored_settings(clean, settings), console):
+        make_rig_capture(arguments.out, clean, settings)
+        console.print(f"{arguments.out}: recorded; the truth is in {arguments.out / 'truth'}", soft_wrap=True)
+
+
+def _rig_options(arguments: Arguments) -> list[tuple[str, object]]:
+    return [("from", arguments.from_), ("codec", arguments.codec), ("mbps", arguments.mbps)]
+
+
+def _ring_settings(arguments: Arguments) -> SynthSettings:
+    numbers = _numbers(arguments, SynthSettings(seed=arguments.seed))
+    return SynthSettings(*numbers, arguments.seed, arguments.gloss, arguments.fps)
+
+
 def _make_ring(arguments: Arguments) -> None:
     console = Terminal(stderr=True)
-    numbers = _numbers(arguments, SynthSettings(seed=arguments.seed))
-    settings = SynthSettings(*numbers, arguments.seed, arguments.gloss, arguments.fps)
+    settings = _ring_settings(arguments)
     if not _needs_making(arguments.out, asdict(settings), console):
         return
     make_synthetic(

@@ -18,6 +18,7 @@ from fourd.base.errors import UserError
 from fourd.base.files import write_bytes_atomically, write_text_atomically
 from fourd.base.limits import read_json
 from fourd.base.progress import Terminal
+from fourd.recording.capture.layout import VIDEOS
 
 SETTINGS_NAME = "synth.json"
 VERSION = 1
@@ -59,9 +60,11 @@ def prepare_folder(out: Path) -> None:
             "name another folder"
         )
     out.mkdir(parents=True, exist_ok=True)
-    for name in ("images", "masks", "truth"):
+    for name in ("images", "masks", "truth", VIDEOS):
         if (out / name).exists():
             shutil.rmtree(out / name)
+    for name in ("capture.json", "split.json", "videos.json"):
+        (out / name).unlink(missing_ok=True)
 
 
 def write_cameras(names: Sequence[str], frames: int, write: Callable[[int, Callable[[], None]], None]) -> None:

@@ -99,7 +99,7 @@ def make_synthetic(
     prepare_folder(out)
     write_settings(out, asdict(settings), finished=False)
     figure = make_figure(seed)
-    ring = _make_cameras(figure, settings)
+    ring = ring_cameras(figure, settings)
     names = [f"{index:02d}" for index in range(cameras)]
     write_calibration(out, names, ring)
     write_rate(out, standard_rate(fps))
@@ -116,13 +116,13 @@ def is_finished(out: Path | str, settings: SynthSettings) -> bool:
     return has_finished(Path(out), asdict(settings))
 
 
-def gait_phase(frame: int, frames: int) -> float:
-    """Return the phase of a frame in gait cycles. The capture covers a whole number of cycles, so it can be played in a
-    loop."""
+def gait_phase(frame: float, frames: int) -> float:
+    """Return the phase of a frame, or of a time between two frames, in gait cycles. The capture covers a whole number
+    of cycles, so it can be played in a loop."""
     return frame * max(1, round(frames / CYCLE_FRAMES)) / frames
 
 
-def _make_cameras(figure: Figure, settings: SynthSettings) -> list[Camera]:
+def ring_cameras(figure: Figure, settings: SynthSettings) -> list[Camera]:
     """Create cameras that face the figure. They have the same focal length: the longest one at which the figure extends
     over at most the fraction FILL of each image."""
     unit = np.eye(3)

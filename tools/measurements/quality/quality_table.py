@@ -202,7 +202,7 @@ def measure_jumps(trained: TrainedRun, steps: int, console: Console) -> tuple[fl
     tracked = track(path, "orbit", console=console)
     jump = jump_ratio([trained.renderer.render(points, frame, camera, layers).rgb for camera in tracked])
     content = read_settings(trained.run.config.capture)
-    if content is None or "dome" in content:
+    if content is None or "dome" in content or "rig" in content:
         return jump, None
     settings = SynthSettings(**{name: content[name] for name in SynthSettings.__dataclass_fields__})
     parts = pose_figure(make_figure(settings.seed), gait_phase(frame, settings.frames))

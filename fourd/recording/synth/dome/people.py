@@ -135,7 +135,7 @@ def _stand(figure: Figure, angle: float) -> PosedFigure:
     chest = heading @ rotation_y(0.05 + sway) @ rotation_x(0.5 * sway)
     head = heading @ rotation_z(0.08 * np.sin(angle)) @ rotation_y(0.05)
     posture = Posture(heading, chest, head, (legs[0], legs[1]), arms, 0.0)
-    return _place(figure, posture, STANDING)
+    return place_on_floor(figure, posture, STANDING)
 
 
 def _walk(figure: Figure, angle: float) -> PosedFigure:
@@ -143,8 +143,18 @@ def _walk(figure: Figure, angle: float) -> PosedFigure:
     velocity = LAP_RADII * (-np.sin(angle), np.cos(angle))
     heading = rotation_z(float(np.arctan2(velocity[1], velocity[0])))
     p = LAP_STEPS * (angle - LAP_START) + 2 * np.pi * figure.start
+    return place_on_floor(figure, walking_posture(heading, p), LAP_CENTRE + LAP_RADII * (np.cos(angle), np.sin(angle)))
+
+
+def walking_posture(heading: Array, p: float) -> Posture:
+    """Return the posture of a person who walks.
+
+    Args:
+        heading: (3, 3) rotation about the z axis, which turns the x axis into the direction of the walk.
+        p: phase of the gait in radians.
+    """
     swing = float(np.sin(p))
-    posture = Posture(
+    return Posture(
         pelvis=heading @ rotation_z(0.1 * swing),
         chest=heading @ rotation_y(0.06) @ rotation_z(-0.12 * swing),
         head=heading @ rotation_z(0.3) @ rotation_y(0.05),
@@ -152,7 +162,6 @@ def _walk(figure: Figure, angle: float) -> PosedFigure:
         arms=(ArmAngles(0.4 - 0.1 * swing, 1.2, 0.16, 0.4), ArmAngles(0.4 + 0.1 * swing, 1.2, 0.16, 0.4)),
         hair_phase=p,
     )
-    return _place(figure, posture, LAP_CENTRE + LAP_RADII * (np.cos(angle), np.sin(angle)))
 
 
 def _walking_leg(p: float) -> LegAngles:
@@ -161,7 +170,7 @@ def _walking_leg(p: float) -> LegAngles:
     return LegAngles(float(swing), bend, float(swing - bend) * 0.8)
 
 
-def _place(figure: Figure, posture: Posture, position: Array) -> PosedFigure:
+def place_on_floor(figure: Figure, posture: Posture, position: Array) -> PosedFigure:
     """Put the figure on the floor at the position (2,)."""
     posed = assemble_figure(figure, posture)
     return posed.moved(np.array([*position, -lowest_height(posed.feet)]))
