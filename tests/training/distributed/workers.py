@@ -67,7 +67,14 @@ def record_gradients(trainer: Trainer, file: Path) -> None:
 
 
 def _save(named, file: Path) -> None:  # type: ignore[no-untyped-def]
-    save_file({name: value.grad.clone() for name, value in named if value.grad is not None}, file)
+    save_file(
+        {
+            name: value.grad.clone(memory_format=torch.contiguous_format)
+            for name, value in named
+            if value.grad is not None
+        },
+        file,
+    )
 
 
 if __name__ == "__main__":
