@@ -246,10 +246,7 @@ class _Place:
             return self
         box, min_seeing = solid.extend(self.box), solid.seeing_share(self.cameras)
         grid = VoxelGrid.covering(*box, self.cameras, min_seeing=min_seeing)
-        shown = [
-            solid.silhouettes(sample.camera, sample.rgb, extent.threshold)
-            for sample, extent in zip(samples, extents, strict=True)
-        ]
+        shown = [solid.silhouettes(sample.camera, len(sample.rgb)) for sample in samples]
         regions = [_with_silhouettes(region, masks) for region, masks in zip(self.regions, shown, strict=True)]
         return _Place(self.cameras, box, min_seeing, grid, regions, list(shown))
 

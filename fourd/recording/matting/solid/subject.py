@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from fourd.base.cameras import Array, Camera
-from fourd.recording.matting.channels import channel_max
 from fourd.recording.matting.solid.moments import Moments
 from fourd.recording.matting.solid.silhouette import point_silhouette
 from fourd.recording.matting.solid.subject_points import find_subject_points, reach
 
 Flags = NDArray[np.bool_]
-Picture = NDArray[np.uint8]
 
 BOX_MARGIN = 0.05
 """Margin of the box around the points, as a fraction of the box's longest side."""
@@ -82,28 +78,12 @@ class SolidSubject:
         seen = np.mean([camera.is_in_image(*camera.project(everything)) for camera in cameras], axis=0)
         return min(MAX_SEEING, float(np.quantile(seen, OUTLIERS)))
 
-    def silhouettes(self, camera: Camera, rgb: Picture, threshold: float) -> Flags:
-        """Return the masks (T, h, w) of the pixels that the points cover in the sampled frames of a camera.
+    def silhouettes(self, camera: Camera, count: int) -> Flags:
+        """Return the masks (count, h, w) of the pixels that the points cover, one for each sampled frame.
 
-        In frames between two moments, a pixel is covered if it is covered at both of them and still has the colour that
-        it has at one of them. Otherwise, the shirt of somebody who stands still would be background in most frames.
-
-        Args:
-            camera: the camera of the frames.
-            rgb: (T, h, w, 3) uint8 frames.
-            threshold: largest change of a static pixel in 8-bit values.
+        Frames in which no points were measured have empty masks.
         """
-        masks = np.zeros(rgb.shape[:3], np.bool_)
+        masks = np.zeros((count, camera.height, camera.width), np.bool_)
         for frame, xyz in zip(self.moments, self.points, strict=True):
             masks[frame] = point_silhouette(xyz, self.spacing, camera)
-        for first, last in pairwise(sorted(self.moments)):
-            both = masks[first] & masks[last]
-            for frame in range(first + 1, last):
-                unchanged = _is_unchanged(rgb[frame], rgb[first], threshold)
-                masks[frame] = both & (unchanged | _is_unchanged(rgb[frame], rgb[last], threshold))
         return masks
-
-
-def _is_unchanged(first: Picture, second: Picture, threshold: float) -> Flags:
-    """Return the mask (h, w) of the pixels at which two images differ by at most ``threshold`` in every channel."""
-    return channel_max(np.asarray(cv2.absdiff(first, second), np.uint8)) <= threshold
