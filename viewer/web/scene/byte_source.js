@@ -108,6 +108,9 @@ export class ByteSource {
         this.whole.end.then(() => this.rate.end());
       }
       return await this.whole.read(offset, size);
+    } catch (error) {
+      // A browser may report that the body was aborted in place of the reason.
+      throw stall.signal.reason instanceof Error && !signal?.aborted ? stall.signal.reason : error;
     } finally {
       this.rate.end();
       stall.release();
