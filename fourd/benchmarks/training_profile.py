@@ -16,6 +16,7 @@ import torch
 from rich.table import Table
 from torch.profiler import ProfilerActivity, profile, record_function
 
+from fourd.base.parallel import core_count
 from fourd.base.progress import Terminal
 from fourd.reconstruction.training.config import TrainConfig
 from fourd.reconstruction.training.loop import Trainer
@@ -150,7 +151,7 @@ def _step(trainer: Trainer, number: int) -> None:
 def _thread_times(trainer: Trainer, steps: int) -> dict[int, float]:
     """Measure the median time of a step for each number of threads. The numbers alternate from step to step, because
     other programs may use the machine."""
-    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    available = core_count()
     times: dict[int, list[float]] = {threads: [] for threads in sorted({1, min(2, available), available})}
     for number in range(steps):
         for threads, found in times.items():

@@ -170,8 +170,7 @@ class PointModel(nn.Module):
         features = self._point_features(xyz, time)
         radius, density = self.geometry_head(features.geometry)
         radius = radius * spacing
-        displacement = None if self.residual is None else self.residual(self.coordinates(xyz, time))
-        displaced = xyz if displacement is None else xyz + displacement
+        displaced, displacement = self.displace(xyz, time)
         sh = self._sh(features, explicit_sh)
         return EvaluatedPoints(displaced, radius, density, spacing, displacement, features, sh, rgb)
 
@@ -199,10 +198,7 @@ class PointModel(nn.Module):
         colour: Tensor | None = None
         if self.blend_head is not None:
             assert sources is not None, "image-based colour needs source views"
-            encoded = sources.encoded
-            if encoded is None:
-                with torch.set_grad_enabled(train_encoder and torch.is_grad_enabled()):
-                    encoded = self.encode_images(sources.images)
+            encoded = self.encode_sources(sources, train_encoder=train_encoder)
             samples = sample_sources(points.xyz, sources, encoded, OCCLUSION_FALLOFF_SPACINGS * points.spacing)
             logits = self.blend_logits(points, samples, sources, viewer)
             colours = mix_own_colours(samples.colours, samples.visibility, points.rgb, self.config.own_colour)
@@ -228,6 +224,22 @@ class PointModel(nn.Module):
         """Compute features (V, image_features, H / stride, W / stride) of V images (V, 3, H, W). Returns None if the
         model has no image-based colour."""
         return None if self.image_encoder is None else self.image_encoder(images)
+
+    def encode_sources(self, sources: SourceViews, *, train_encoder: bool) -> Tensor | None:
+        """Return the features of the source views, which are computed unless ``sources`` has them. The image encoder
+        gets a gradient only if ``train_encoder`` is true."""
+        if sources.encoded is not None:
+            return sources.encoded
+        with torch.set_grad_enabled(train_encoder and torch.is_grad_enabled()):
+            return self.encode_images(sources.images)
+
+    def displace(self, xyz: Tensor, time: float) -> tuple[Tensor, Tensor | None]:
+        """Return the positions (N, 3) with the displacement by the residual field, and the displacement (N, 3), or
+        None without a residual field."""
+        if self.residual is None:
+            return xyz, None
+        displacement = self.residual(self.coordinates(xyz, time))
+        return xyz + displacement, displacement
 
     def harmonics(self, points: EvaluatedPoints, *, is_training: bool) -> Tensor | None:
         """Return the SH coefficients (N, 3, 16) of the points, or None if the model uses no SH.

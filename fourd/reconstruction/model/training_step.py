@@ -37,12 +37,8 @@ def evaluate_in_view(
     if sources is None or not has_fused_networks(model, xyz, shadow):
         evaluated = model.evaluate(xyz, spacing, time, explicit_sh=explicit_sh, rgb=rgb)
         return evaluated, model.colour(evaluated, viewer, sources, shadow=shadow, train_encoder=train_encoder)
-    displacement = None if model.residual is None else model.residual(model.coordinates(xyz, time))
-    displaced = xyz if displacement is None else xyz + displacement
-    encoded = sources.encoded
-    if encoded is None:
-        with torch.set_grad_enabled(train_encoder and torch.is_grad_enabled()):
-            encoded = model.encode_images(sources.images)
+    displaced, displacement = model.displace(xyz, time)
+    encoded = model.encode_sources(sources, train_encoder=train_encoder)
     channels, visibility = sample_channels(displaced, sources, encoded, OCCLUSION_FALLOFF_SPACINGS * spacing)
     view_weights = visibility.new_ones(len(visibility)) if sources.weights is None else sources.weights
     radius, density, sh, colour = evaluate_heads(

@@ -96,12 +96,17 @@ class BackgroundModel:
         """Compare the colours of an image (h, w, 3) with the background's."""
         inverse: Floats = (1 / self.variance).astype(np.float32)
         value: Floats = rgb.astype(np.float32)
-        weighted = self.mean * inverse
-        precision = np.maximum(channel_sum(self.mean * weighted), np.float32(1e-3))
-        light = (channel_sum(value * weighted) / precision).astype(np.float32)
+        light, _ = self._fit_light(value, inverse)
         residual = channel_sum(np.square(value - light[..., None] * self.mean) * inverse)
         is_known = self.confidence > MIN_LIGHT_CONFIDENCE
         return ObservedLight(light, is_known & (residual < MAX_LIGHT_RESIDUAL), is_known)
+
+    def _fit_light(self, value: Floats, inverse: Floats) -> tuple[Floats, Floats]:
+        """Return the light (h, w) on the background that explains the colours ``value`` (h, w, 3) best, and its
+        precision. ``inverse`` (h, w, 3) is the inverse variance."""
+        weighted = self.mean * inverse
+        precision = np.maximum(channel_sum(self.mean * weighted), np.float32(1e-3))
+        return (channel_sum(value * weighted) / precision).astype(np.float32), precision.astype(np.float32)
 
     def _log_likelihood_in_light(self, rgb: Picture, light: Floats) -> Floats:
         """Return the log density (h, w) of each pixel's colour if the light (h, w) on the background is known."""
@@ -121,9 +126,8 @@ class BackgroundModel:
         inverse: Floats = (1 / self.variance).astype(np.float32)
         value: Floats = rgb.astype(np.float32)
         plain = -0.5 * channel_sum(np.square(value - self.mean) * inverse)
-        weighted = self.mean * inverse
-        precision = np.maximum(channel_sum(self.mean * weighted), 1e-3)
-        light = np.clip(channel_sum(value * weighted) / precision, SHADOW_DARKEST, SHADOW_BRIGHTEST)
+        light, precision = self._fit_light(value, inverse)
+        light = np.clip(light, SHADOW_DARKEST, SHADOW_BRIGHTEST)
         shaded = -0.5 * channel_sum(np.square(value - light[..., None] * self.mean) * inverse)
         shaded += np.minimum(0.5 * (LOG_TWO_PI - np.log(precision)) - np.log(SHADOW_BRIGHTEST - SHADOW_DARKEST), 0)
         return plain + scale, (shaded + scale).astype(np.float32)

@@ -22,7 +22,7 @@ from fourd.recording.matting.motion.evidence import Appearance, combine_views
 from fourd.recording.matting.motion.local_evidence import LocalEvidence, local_evidence
 from fourd.recording.matting.motion.paint import Strokes, strokes_in_frame
 from fourd.recording.matting.motion.sampling import flow_frame, flow_length_px, learning_frames, reduce_picture
-from fourd.recording.matting.motion.subject import Subject
+from fourd.recording.matting.motion.subject import Subject, floor_cells
 from fourd.recording.matting.shadows.floor_light import FloorGrid
 
 Floats = NDArray[np.float32]
@@ -68,7 +68,7 @@ class MatteMaker:
         )
         grid = None if subject.box is None else VoxelGrid.covering(*subject.box, cameras, min_seeing=subject.min_seeing)
         local = local_evidence(backgrounds, [appearance.region for appearance in appearances])
-        floor = None if grid is None else subject.floor_grid(cameras, grid.size)
+        floor = floor_cells(subject.floor, subject.box, grid)
         return MatteMaker(appearances, tuple(cameras), grid, tuple(local), floor)
 
     def mattes(self, capture: Capture, frame: int, strokes: Sequence[Strokes] = ()) -> list[Picture]:

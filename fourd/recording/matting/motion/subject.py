@@ -85,13 +85,6 @@ class Subject:
     min_seeing: float = MIN_SEEING_SHARE
     floor: Floor | None = None
 
-    def floor_grid(self, cameras: Sequence[Camera], size: float) -> FloorGrid | None:
-        """Divide the floor into cells with sides of ``size`` world units, for images of ``cameras``. Returns None if
-        there is no floor."""
-        if self.floor is None or self.box is None:
-            return None
-        return FloorGrid.covering(self.floor, np.stack(self.box), size, cameras)
-
 
 def learn_subject(
     samples: Sequence[CameraSample],
@@ -138,6 +131,14 @@ def learn_subject(
     return Subject(tuple(learner.appearance for learner in learners), cameras, place.box, place.min_seeing, floor)
 
 
+def floor_cells(floor: Floor | None, box: tuple[Array, Array] | None, grid: VoxelGrid | None) -> FloorGrid | None:
+    """Divide the floor around the subject's box into cells of the voxels' size, for images of the voxels' cameras.
+    Returns None if there is no floor."""
+    if floor is None or box is None or grid is None:
+        return None
+    return FloorGrid.covering(floor, np.stack(box), grid.size, grid.cameras)
+
+
 def _find_floor(learners: Sequence[Learner], place: _Place, rng: np.random.Generator) -> Floor | None:
     """Find the floor from the shadows in some of the sampled frames."""
     if place.grid is None or place.box is None:
@@ -160,7 +161,7 @@ def _iterate(
 ) -> None:
     """Run one iteration of expectation maximisation, with local colours if ``is_local`` is true."""
     local = _local_evidence(learners) if is_local else None
-    cells = place.floor_grid(floor)
+    cells = floor_cells(floor, place.box, place.grid)
 
     def combine(frame: int) -> ViewEvidence:
         return combine_views(
@@ -219,12 +220,6 @@ class _Place:
     def has_still_parts(self) -> bool:
         """Whether stereo found parts of the subject that motion lacks."""
         return any(masks is not None for masks in self.shown)
-
-    def floor_grid(self, floor: Floor | None) -> FloorGrid | None:
-        """Divide the floor around the subject into cells. Returns None if there is no floor."""
-        if floor is None or self.box is None or self.grid is None:
-            return None
-        return FloorGrid.covering(floor, np.stack(self.box), self.grid.size, self.cameras)
 
     @staticmethod
     def of_motion(extents: Sequence[MotionExtent], cameras: tuple[Camera, ...], names: Sequence[str]) -> _Place:

@@ -75,19 +75,9 @@ def _empty_outputs(features: Tensor, weights: list[Tensor]) -> tuple[Tensor, Ten
     return radius, density, sh, colour, first
 
 
-def _arguments(
-    features: Tensor,
-    samples: Tensor,
-    visibility: Tensor,
-    view_weights: Tensor,
-    own: Tensor | None,
-    xyz: Tensor,
-    spacing: Tensor,
-    weights: list[Tensor],
-    settings: list[float],
-) -> list[Any]:
-    arrays = [as_array(each) for each in (features, samples, visibility, view_weights)]
-    arrays += [None if own is None else as_array(own), as_array(xyz), as_array(spacing)]
+def _arguments(inputs: Inputs) -> list[Any]:
+    *points, weights, settings = inputs
+    arrays = [None if each is None else as_array(each) for each in points]
     threads = thread_count(0, torch.get_num_threads())
     return [*arrays, [as_array(weight) for weight in weights], settings, threads, simd_name()]
 
@@ -106,8 +96,8 @@ def _evaluate(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Compute radius, density, SH, colour and the outputs of the first layers, which the gradient needs."""
     out = _empty_outputs(features, weights)
-    inputs = _arguments(features, samples, visibility, view_weights, own, xyz, spacing, weights, settings)
-    load_native().evaluate_heads(*inputs, *(as_array(each) for each in out))
+    inputs = (features, samples, visibility, view_weights, own, xyz, spacing, weights, settings)
+    load_native().evaluate_heads(*_arguments(inputs), *(as_array(each) for each in out))
     return out
 
 
@@ -140,8 +130,9 @@ def _evaluate_backward(
     """Compute the gradients of features, samples, own colours, positions and weights. Without own colours, their
     gradient has no rows."""
     out = _empty_gradients(features, samples, own, xyz, weights)
+    inputs = (features, samples, visibility, view_weights, own, xyz, spacing, weights, settings)
     load_native().evaluate_heads_backward(
-        *_arguments(features, samples, visibility, view_weights, own, xyz, spacing, weights, settings),
+        *_arguments(inputs),
         as_array(grad_radius),
         as_array(grad_density),
         None if grad_sh is None else as_array(grad_sh),
