@@ -8,6 +8,7 @@ import importlib.util
 import os
 import secrets
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,16 @@ def rng() -> np.random.Generator:
     """A random generator with the seed of this run. To use the same seed again, set the environment variable
     FOURD_TEST_SEED."""
     return np.random.default_rng(int(os.environ[SEED]))
+
+
+@pytest.fixture(autouse=True)
+def _gradients_stay_enabled() -> Iterator[None]:
+    """A test that leaves gradients disabled fails here. Without this, all later tests in its process that train would
+    fail."""
+    yield
+    enabled = torch.is_grad_enabled()
+    torch.set_grad_enabled(True)
+    assert enabled, "this test has left torch's gradients disabled"
 
 
 @pytest.fixture(scope="session")

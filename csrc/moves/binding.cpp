@@ -131,7 +131,7 @@ void add_magnitudes(const RowList& rows, const Vectors<const float>& gradient, c
 void bind_moves(nb::module_& module) {
     module.def("adam", &adam, nb::arg("parameters"), nb::arg("gradients"), nb::arg("firsts"), nb::arg("seconds"),
                nb::arg("step_sizes"), nb::arg("root_corrections"), nb::arg("beta1"), nb::arg("beta2"),
-               nb::arg("epsilon"), nb::arg("threads"));
+               nb::arg("epsilon"), nb::arg("threads"), "Sizes:");
     module.def("adam_rows", &adam_rows, nb::arg("rows"), nb::arg("steps"), nb::arg("parameters"), nb::arg("moments"),
                nb::arg("gradients"), nb::arg("rates"), nb::arg("epsilons"), nb::arg("beta1"), nb::arg("beta2"),
                nb::arg("threads"), "Sizes: rows=M steps=N");

@@ -6,8 +6,8 @@ import re
 
 from fourd import _native
 
-FUNCTIONS_WITHOUT_SIZES = {"rays_cost"}
-"""Functions whose arrays are results of another function, so their rules are empty."""
+FUNCTIONS_WITHOUT_SIZES = {"rays_cost", "adam"}
+"""Functions whose arrays are results of another function or lists, so their rules are empty."""
 
 
 def bound_functions(owner: object, prefix: str = "") -> dict[str, tuple[str, str]]:

@@ -104,9 +104,9 @@ class RunQuality:
     radii: tuple[float, float, float]
 
 
+@torch.no_grad()
 def main(arguments: Arguments) -> int:
     """Print a Markdown table with a row for each run."""
-    torch.set_grad_enabled(False)
     results = {}
     try:
         for folder in arguments.runs:

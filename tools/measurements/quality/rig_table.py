@@ -95,9 +95,9 @@ class Result:
     flicker: float
 
 
+@torch.no_grad()
 def main(arguments: Arguments) -> int:
     """Print a Markdown table for each capture, with a row for each measured recording."""
-    torch.set_grad_enabled(False)
     found = rows(arguments.together)
     try:
         unknown = [name for name in arguments.only or [] if name not in found]
