@@ -9,6 +9,7 @@ import os
 import secrets
 import signal
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -46,10 +47,19 @@ def rng() -> np.random.Generator:
 
 
 @pytest.fixture(autouse=True)
-def _gradients_stay_enabled() -> Iterator[None]:
-    """A test that leaves gradients disabled fails here. Without this, all later tests in its process that train would
-    fail."""
+def _process_stays_as_it_was() -> Iterator[None]:
+    """A test that leaves gradients disabled fails here, because all later tests in its process that train would fail.
+
+    Priorities are restored: commands that show a run lower the priority of their process, and SVT-AV1 gives the thread
+    that encodes real-time priority if the process runs as root. Tests in the other processes would starve.
+    """
+    niceness = os.getpriority(os.PRIO_PROCESS, 0) if hasattr(os, "getpriority") else 0
     yield
+    if hasattr(os, "sched_getscheduler"):
+        if os.sched_getscheduler(0) != os.SCHED_OTHER:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        with suppress(PermissionError):
+            os.setpriority(os.PRIO_PROCESS, 0, niceness)
     enabled = torch.is_grad_enabled()
     torch.set_grad_enabled(True)
     assert enabled, "this test has left torch's gradients disabled"
