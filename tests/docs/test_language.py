@@ -6,6 +6,7 @@ Each entry of PHRASES pairs a phrase with its replacement. Add a phrase when a r
 from __future__ import annotations
 
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -54,22 +55,23 @@ PHRASES = {
 }
 
 
-def files() -> list[Path]:
-    """All text files that are checked for phrases."""
+@cache
+def texts() -> dict[str, str]:
+    """The text of every file that is checked for phrases, by its path."""
     found = [ROOT / name for name in PAGES]
     for folder in FOLDERS:
         found += [path for path in sorted((ROOT / folder).rglob("*")) if path.suffix in SUFFIXES and path.is_file()]
-    return found
+    return {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in found}
 
 
 def occurrences(pattern: str) -> list[str]:
     """Every occurrence of a phrase as ``file:line: text``."""
     phrase = re.compile(pattern, re.IGNORECASE)
     found = []
-    for path in files():
-        for row, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
-            if phrase.search(line):
-                found.append(f"{path.relative_to(ROOT).as_posix()}:{row}: {line.strip()}")
+    for path, text in texts().items():
+        for match in phrase.finditer(text):
+            row = text.count("\n", 0, match.start()) + 1
+            found.append(f"{path}:{row}: {text.splitlines()[row - 1].strip()}")
     return found
 
 
