@@ -47,6 +47,11 @@ def concatenate(clouds: Sequence[RenderablePoints]) -> RenderablePoints:
     return RenderablePoints(*(torch.cat([getattr(cloud, name) for cloud in clouds]) for name in names))
 
 
+def _joined(tensors: Sequence[Tensor]) -> Tensor:
+    """Concatenate tensors along the first axis. A single tensor is not copied."""
+    return tensors[0] if len(tensors) == 1 else torch.cat(list(tensors))
+
+
 def composite(
     clouds: Sequence[RenderablePoints], viewer: Camera, layers: int, near: float, background: Tensor | None = None
 ) -> PointRender:
@@ -60,10 +65,10 @@ def composite(
     is_first = [ones(cloud.radius) if k == 0 else zeros(cloud.radius) for k, cloud in enumerate(clouds)]
     features = [torch.cat([cloud.colour, own[:, None]], 1) for cloud, own in zip(clouds, is_first, strict=True)]
     return render_points(
-        torch.cat([cloud.xyz for cloud in clouds]),
-        torch.cat(features),
-        torch.cat([cloud.radius for cloud in clouds]),
-        torch.cat([cloud.density for cloud in clouds]),
+        _joined([cloud.xyz for cloud in clouds]),
+        _joined(features),
+        _joined([cloud.radius for cloud in clouds]),
+        _joined([cloud.density for cloud in clouds]),
         viewer,
         layers=layers,
         near=near,
@@ -83,8 +88,9 @@ def composite_samples(
     render = composite(clouds, viewer if samples == 1 else viewer.rescale(samples), layers, near)
     if samples == 1:
         return render.features, render.alpha
-    channels = torch.cat([render.features, render.alpha[..., None]], 2).permute(2, 0, 1)
-    means = torch.nn.functional.avg_pool2d(channels, samples).permute(1, 2, 0)
+    # With a batch axis, torch recognises that the channels of a pixel are adjacent, and does not copy them first.
+    channels = torch.cat([render.features, render.alpha[..., None]], 2).permute(2, 0, 1)[None]
+    means = torch.nn.functional.avg_pool2d(channels, samples)[0].permute(1, 2, 0)
     return means[..., :-1], means[..., -1]
 
 
@@ -100,9 +106,9 @@ def visible_points(
     if min_weight == 0:
         return [torch.arange(cloud.xyz.shape[0], device=cloud.xyz.device) for cloud in clouds]
     weight = point_visibility(
-        torch.cat([cloud.xyz for cloud in clouds]),
-        torch.cat([cloud.radius for cloud in clouds]),
-        torch.cat([cloud.density for cloud in clouds]),
+        _joined([cloud.xyz for cloud in clouds]),
+        _joined([cloud.radius for cloud in clouds]),
+        _joined([cloud.density for cloud in clouds]),
         viewer,
         layers=layers,
         near=near,

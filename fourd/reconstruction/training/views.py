@@ -52,8 +52,8 @@ class View:
 
     def premultiplied(self, device: torch.device = CPU) -> tuple[Tensor, Tensor]:
         """Return RGB (H, W, 3) multiplied by the matte, and the matte (H, W), as float32 tensors in [0, 1]."""
-        matte = torch.from_numpy(self.matte).to(device).float() / 255
-        return torch.from_numpy(self.rgb).to(device).float() / 255 * matte[..., None], matte
+        matte = torch.from_numpy(self.matte).to(device) / 255
+        return torch.from_numpy(self.rgb).to(device) / 255 * matte[..., None], matte
 
 
 class ViewStore:
@@ -106,15 +106,21 @@ class ViewStore:
         views = [self.view(camera, frame) for camera in cameras]
         height = _round_up(max(view.rgb.shape[0] for view in views))
         width = _round_up(max(view.rgb.shape[1] for view in views))
-        images = torch.zeros(len(views), 3, height, width, device=self.device)
-        mattes = torch.zeros(len(views), height, width, device=self.device)
+        padded_rgb = np.zeros((len(views), 3, height, width), np.uint8)
+        padded_mattes = np.zeros((len(views), height, width), np.uint8)
         for i, view in enumerate(views):
             rows, columns = view.matte.shape
-            image = torch.from_numpy(view.rgb).to(self.device).permute(2, 0, 1) / 255
-            images[i, :, :rows, :columns] = self.rig.scene_colours(cameras[i], image)
-            mattes[i, :rows, :columns] = torch.from_numpy(view.matte).to(self.device) / 255
-        padded = tuple(view.camera.crop(0, 0, width, height) for view in views)
-        return SourceViews(images, mattes, None, padded)
+            padded_rgb[i, :, :rows, :columns] = view.rgb.transpose(2, 0, 1)
+            padded_mattes[i, :rows, :columns] = view.matte
+        # All views are converted by one operation, because calling an operation takes as long as converting a view.
+        images = torch.from_numpy(padded_rgb).to(self.device) / 255
+        mattes = torch.from_numpy(padded_mattes).to(self.device) / 255
+        if self.rig.colours is not None:
+            for i, view in enumerate(views):
+                rows, columns = view.matte.shape
+                part = images[i, :, :rows, :columns]
+                part.copy_(self.rig.scene_colours(cameras[i], part))
+        return SourceViews(images, mattes, None, tuple(view.camera.crop(0, 0, width, height) for view in views))
 
     def _with_current_camera(self, view: View, camera: int) -> View:
         whole = self.rig.cameras[camera]
