@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import torch
 from msgspec import Meta
 from safetensors import SafetensorError, safe_open
@@ -249,48 +248,6 @@ def unpack_optimizer(
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
 
 
-def pack_torch_rng(generator: torch.Generator | None = None) -> Tensor:
-    """Return the state of a torch CPU generator as a uint8 tensor. If ``generator`` is None, the default generator is
-    used."""
-    return torch.get_rng_state() if generator is None else generator.get_state()
-
-
-def unpack_torch_rng(state: Tensor, generator: torch.Generator | None = None) -> None:
-    """Restore the state of a torch CPU generator from :func:`pack_torch_rng`. If ``generator`` is None, the default
-    generator is used."""
-    if generator is None:
-        torch.set_rng_state(state.clone())
-    else:
-        generator.set_state(state.clone())
-
-
-def pack_numpy_rng(generator: np.random.Generator) -> dict[str, Any]:
-    """Return the state of a NumPy generator as JSON data. Its 128-bit integers are stored exactly."""
-    return json.loads(json.dumps(generator.bit_generator.state, default=_array_as_list))
-
-
-def unpack_numpy_rng(state: Mapping[str, Any]) -> np.random.Generator:
-    """Create a NumPy generator from a state that was returned by :func:`pack_numpy_rng`.
-
-    Raises ValueError if the kind of generator is unknown.
-    """
-    kinds = {
-        "PCG64": np.random.PCG64,
-        "PCG64DXSM": np.random.PCG64DXSM,
-        "MT19937": np.random.MT19937,
-        "Philox": np.random.Philox,
-        "SFC64": np.random.SFC64,
-    }
-    kind = kinds.get(state.get("bit_generator", ""))
-    if kind is None:
-        raise ValueError(
-            f"state: bit_generator: expected one of {', '.join(kinds)}, got {state.get('bit_generator')!r}"
-        )
-    bits = kind()
-    bits.state = dict(state)
-    return np.random.Generator(bits)
-
-
 def _drop_old(folder: Path, step: int) -> None:
     """Of the checkpoints up to ``step``, delete all except the two newest. Of the checkpoints of later steps, delete
     the damaged ones.
@@ -378,11 +335,3 @@ def _difference(name: str, wanted: Tensor | None, given: Tensor | None) -> str |
 
 def _strip_prefix(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
-
-
-def _array_as_list(value: object) -> object:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, np.integer):
-        return int(value)
-    raise TypeError(f"expected arrays and numbers, got {type(value).__name__}")

@@ -122,11 +122,6 @@ class VideoIndex:
         before = max(after - 1, 0)
         return after if self.times[after] - ticks <= ticks - self.times[before] else before
 
-    def keyframe_before(self, frame: int) -> int:
-        """Return the number of the last keyframe at or before ``frame``; 0 if there is no such keyframe."""
-        count = self.keyframe_count(frame)
-        return self.keyframes[count - 1] if count else 0
-
     def keyframe_count(self, frame: int) -> int:
         """Return the number of keyframes at or before ``frame``."""
         return bisect_right(self.keyframes, frame)
