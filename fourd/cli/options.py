@@ -12,7 +12,6 @@ import tyro
 from fourd.base.errors import UserError
 from fourd.base.parallel import core_count
 from fourd.cli.outputs import READS
-from fourd.recording.capture.video_list import MAX_OFFSET
 
 FRAMES_HELP = "Every S-th frame from A to B, B excluded. A and B are indices of frames in the capture, from 0."
 VIEWS_HELP = "Names of cameras, separated by commas."
@@ -156,6 +155,8 @@ def split_names(text: str | None) -> tuple[str, ...] | None:
 def parse_offsets(words: Sequence[str]) -> dict[str, float]:
     """Parse the values of --offset, each a list of CAM=FRAMES separated by commas. The result maps each CAM to its
     FRAMES."""
+    from fourd.recording.capture.video_list import MAX_OFFSET
+
     found: dict[str, float] = {}
     for part in (part.strip() for word in words for part in word.split(",") if part.strip()):
         name, _, frames = part.rpartition("=")

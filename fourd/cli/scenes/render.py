@@ -5,32 +5,26 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
 import tyro
-from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import track
 
-from fourd.base.cameras import Camera
 from fourd.base.errors import UserError
 from fourd.base.progress import Terminal
 from fourd.base.storage import Location
 from fourd.cli.locations import PATH_OR_URL, scene_or_copy
 from fourd.cli.options import Frames, StyleName, check_rendering, option, split_names
 from fourd.cli.outputs import READS, WRITES
-from fourd.cli.scenes.lens_options import LensOptions, make_inserts, make_lens
-from fourd.scene.lenses.inserts import Insert
-from fourd.scene.meshes.playable import PlayableMeshes
-from fourd.scene.meshes.source import is_mesh
-from fourd.scene.playable import Playable, find_view, open_playable, select_frames, selected_rate
-from fourd.scene.styles import load_style
-from fourd.viewer.navigation.paths import camera_path, fit_camera
-from fourd.viewer.output.png import write_png
-from fourd.viewer.output.video import is_video, require_video, write_video
-from fourd.viewer.playback.sources import open_frame_source
-from fourd.viewer.rendering.drawn_playable import DrawnPlayable, LensDrawer, StyleDrawer
+from fourd.cli.scenes.lens_options import LensOptions
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from fourd.base.cameras import Camera
+    from fourd.scene.lenses.inserts import Insert
+    from fourd.scene.playable import Playable
 
 
 @dataclass(frozen=True)
@@ -68,6 +62,8 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Open the source, choose the cameras, render and write the images."""
+    from fourd.viewer.output.video import is_video
+
     console = Terminal(stderr=True)
     is_video(arguments.out)  # An invalid name is reported before anything is rendered.
     if (arguments.views is None) == (arguments.path is None):
@@ -81,6 +77,9 @@ def run(arguments: Arguments) -> None:
 
 
 def _render(arguments: Arguments, source: Location, console: Console) -> int:
+    from fourd.scene.playable import select_frames, selected_rate
+    from fourd.viewer.output.video import is_video, require_video
+
     playable = _open(arguments, source)
     frames = select_frames(playable, arguments.frames)
     if arguments.optics.is_used:
@@ -94,6 +93,13 @@ def _render(arguments: Arguments, source: Location, console: Console) -> int:
 
 
 def _open(arguments: Arguments, source: Location) -> Playable:
+    from fourd.scene.meshes.playable import PlayableMeshes
+    from fourd.scene.meshes.source import is_mesh
+    from fourd.scene.playable import open_playable
+    from fourd.scene.styles import load_style
+    from fourd.viewer.playback.sources import open_frame_source
+    from fourd.viewer.rendering.drawn_playable import DrawnPlayable, StyleDrawer
+
     style = None if arguments.style is None else load_style(arguments.style)
     if isinstance(source, Path) and is_mesh(source):
         return PlayableMeshes(source, style)
@@ -109,6 +115,14 @@ def _through_lens(arguments: Arguments, path: Location, playable: Playable, fram
     The mirror floor and an automatically placed glass ball are positioned relative to the subject's points in two of
     the rendered frames: the first and the middle one.
     """
+
+    import numpy as np
+
+    from fourd.cli.scenes.lens_options import make_inserts, make_lens
+    from fourd.scene.meshes.source import is_mesh
+    from fourd.viewer.playback.sources import open_frame_source
+    from fourd.viewer.rendering.drawn_playable import DrawnPlayable, LensDrawer
+
     if arguments.style is not None:
         raise UserError("--style, --lens: expected one of them, got both; styles are not drawn through a lens")
     if isinstance(path, Path) and is_mesh(path):
@@ -128,6 +142,10 @@ def _through_lens(arguments: Arguments, path: Location, playable: Playable, fram
 
 
 def _write_views(arguments: Arguments, playable: Playable, frames: list[int], fps: float, console: Console) -> int:
+    from fourd.scene.playable import find_view
+    from fourd.viewer.output.png import write_png
+    from fourd.viewer.output.video import is_video, write_video
+
     assert arguments.views is not None
     names = split_names(arguments.views) or ()
     cameras = [_fit(find_view(playable, name), arguments.size) for name in names]
@@ -143,6 +161,10 @@ def _write_views(arguments: Arguments, playable: Playable, frames: list[int], fp
 
 
 def _write_path(arguments: Arguments, playable: Playable, frames: list[int], fps: float, console: Console) -> int:
+    from fourd.viewer.navigation.paths import camera_path
+    from fourd.viewer.output.png import write_png
+    from fourd.viewer.output.video import is_video, write_video
+
     assert arguments.path is not None
     steps = arguments.steps or max(120, len(frames))
     views = list(playable.views.values())
@@ -158,13 +180,19 @@ def _write_path(arguments: Arguments, playable: Playable, frames: list[int], fps
 
 
 def _track(jobs: list[tuple[str, Camera, int]], console: Console) -> Iterator[tuple[str, Camera, int]]:
+    from rich.progress import track
+
     yield from track(jobs, description="render", console=console)
 
 
 def _rgb(playable: Playable, camera: Camera, frame: int, arguments: Arguments) -> NDArray[np.uint8]:
+    import numpy as np
+
     rgb = playable.render(camera, frame, arguments.layers, np.asarray(arguments.background, np.float32))
     return (rgb.clip(0, 1) * 255 + 0.5).astype(np.uint8)
 
 
 def _fit(camera: Camera, size: tuple[int, int] | None) -> Camera:
+    from fourd.viewer.navigation.paths import fit_camera
+
     return camera if size is None else fit_camera(camera, *size)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -17,9 +17,10 @@ from fourd.base.storage import Location, local_copy
 from fourd.cli.locations import PATH_OR_URL, transfer_progress
 from fourd.cli.options import StyleName, check_rendering, describe, option
 from fourd.cli.outputs import READS, WRITES
-from fourd.scene.styles import load_style
-from fourd.viewer.display import DisplaySettings
-from fourd.viewer.rendering.renderers import RendererName
+from fourd.viewer.rendering.renderer_name import RendererName
+
+if TYPE_CHECKING:
+    from fourd.viewer.display import DisplaySettings
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,9 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Open a window, or write a video or an image."""
+    from fourd.scene.styles import load_style
+    from fourd.viewer.display import DisplaySettings
+
     console = Terminal(stderr=True)
     check_rendering(
         arguments.layers, arguments.background, size=arguments.size, steps=arguments.steps, fps=arguments.fps
