@@ -93,7 +93,8 @@ def _check(capture: Path, arguments: Arguments) -> None:
     titled = (
         ("note", "bold", report.notes),
         ("warning", "yellow", warnings),
-        ("problem", "bold red", report.problems),
+        # The first problem is the message of the error.
+        ("problem", "bold red", report.problems[1:]),
     )
     for title, style, lines in titled:
         for line in first_lines(lines, MOST_LINES):

@@ -120,5 +120,5 @@ def _table(arguments: Arguments, fitted: FittedFrame) -> Table:
     for label, evaluation in (("soft triangles", fitted.soft), ("opaque mesh", fitted.opaque)):
         if evaluation is not None and evaluation.box is not None:
             ssim = evaluation.box.ssim
-            table.add_row(label, f"{evaluation.box.psnr:.2f}", "null" if ssim is None else f"{ssim:.4f}")
+            table.add_row(label, f"{evaluation.box.psnr:.2f}", "not measured" if ssim is None else f"{ssim:.4f}")
     return table

@@ -88,7 +88,7 @@ def run(arguments: Arguments) -> None:
         table = Table(title=f"{arguments.out}: held-out views {', '.join(selection.test_views)}")
         for column in ("silhouette IoU", "PSNR dB inside the matte's box"):
             table.add_column(column, justify="right")
-        table.add_row(f"{scores.iou:.4f}", "null" if scores.psnr is None else f"{scores.psnr:.2f}")
+        table.add_row(f"{scores.iou:.4f}", "not measured" if scores.psnr is None else f"{scores.psnr:.2f}")
         Terminal().print(table)
 
 

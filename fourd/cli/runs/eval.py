@@ -69,7 +69,7 @@ def run(arguments: Arguments) -> None:
     indices = _evaluated_views(trained, arguments.views)
     lpips = load_lpips(arguments.lpips_weights)
     if lpips is None:
-        console.print("LPIPS: no weights found, so the LPIPS scores are null; name the weights with --lpips-weights")
+        console.print("LPIPS: no weights found, so LPIPS is not measured; name the weights with --lpips-weights")
     pictures = []
     capture = trained.run.capture
     fitted = _fit_cameras(trained, indices, arguments, console)
@@ -285,4 +285,4 @@ def _print(evaluation: Evaluation, trained: TrainedRun | SegmentedRun, backgroun
 
 
 def _shown(value: float | None) -> str:
-    return "null" if value is None else f"{value:.4f}"
+    return "not measured" if value is None else f"{value:.4f}"

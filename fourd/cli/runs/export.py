@@ -88,8 +88,8 @@ def run(arguments: Arguments) -> None:
     require_suffix(arguments.out, (".4dv",), "a scene")
     with local_output(arguments.out, transfer_progress()) as out:
         _bake(arguments, out, console)
-        size = out.stat().st_size / 2**20
-    command = command_line("fourd", "render", arguments.out, "--path", "orbit", "--out", "orbit.mp4")
+        size = out.stat().st_size / 1e6
+    command = command_line("fourd", "view", arguments.out)
     console.print(f"{arguments.out}: {size:.1f} MB; next: {command}", soft_wrap=True)
 
 

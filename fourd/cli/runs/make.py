@@ -138,5 +138,5 @@ def run(arguments: Arguments) -> None:
     print_summary(summary, console)
     if arguments.web is not None and isinstance(arguments.out, Path):
         write_page(arguments.out, arguments.web, console)
-    command = command_line("fourd", "render", arguments.out, "--path", "orbit", "--out", "orbit.mp4")
+    command = command_line("fourd", "view", arguments.out)
     console.print(f"{arguments.out}: written; next: {command}", soft_wrap=True)

@@ -109,7 +109,7 @@ def _run_stages(arguments: Arguments, group: ProcessGroup) -> None:
     Runner(context).run(stages)
     if group.is_first:
         print_summary(summarize_run(arguments.out), console)
-    console.print(f"{arguments.out}: trained; next: {command_line('fourd', 'eval', arguments.out)}", soft_wrap=True)
+    console.print(f"{arguments.out}: trained; next: {command_line('fourd', 'view', arguments.out)}", soft_wrap=True)
 
 
 def _resumed_config(options: TrainingOptions, config: TrainConfig) -> TrainConfig:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import tyro
 from rich.console import Console
@@ -16,6 +16,7 @@ from fourd.base.storage import Location
 from fourd.cli.locations import PATH_OR_URL, scene_or_copy
 from fourd.cli.options import Frames, StyleName, check_rendering, option, split_names
 from fourd.cli.outputs import READS, WRITES
+from fourd.cli.scenes.info_values import count_text
 from fourd.cli.scenes.lens_options import LensOptions
 
 if TYPE_CHECKING:
@@ -39,12 +40,11 @@ class Arguments:
     views: Annotated[str | None, option("NAME,NAME", "none; --views or --path is required")] = None
     """Names of the capture cameras to render from, separated by commas. The cameras of meshes are named "side 1" to
     "side 8"."""
-    path: Annotated[
-        Literal["orbit", "spiral", "cameras"] | None,
-        option("{orbit,spiral,cameras}", "none; --views or --path is required"),
-    ] = None
+    path: Annotated[str | None, option("{orbit,spiral,cameras,FILE.json}", "none; --views or --path is required")] = (
+        None
+    )
     """orbit: one orbit around the scene. spiral: two orbits with changing height. cameras: a path through all capture
-    cameras."""
+    cameras. FILE.json: a path that was recorded in the window of fourd view."""
     frames: Frames = None
     steps: Annotated[int | None, option("INT", "120, or the number of frames if that is larger")] = None
     """Number of images along the path. The scene advances by one frame per image and plays in a loop."""
@@ -54,6 +54,8 @@ class Arguments:
     """Number of points composited per pixel (K), 1 to 64."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Background colour: red, green and blue, 0 to 1 each."""
+    transparent: bool = False
+    """Write PNG files with an alpha channel instead of a background."""
     style: StyleName = None
     optics: LensOptions = field(default_factory=LensOptions)
     fps: Annotated[float | None, option("FLOAT", "the scene's")] = None
@@ -68,12 +70,14 @@ def run(arguments: Arguments) -> None:
     is_video(arguments.out)  # An invalid name is reported before anything is rendered.
     if (arguments.views is None) == (arguments.path is None):
         raise UserError("--views, --path: expected exactly one of them; write --views 05,11 or --path orbit")
+    if arguments.transparent and is_video(arguments.out):
+        raise UserError(f"--transparent: expected a folder of PNG files, got {arguments.out}; name a folder with --out")
     check_rendering(
         arguments.layers, arguments.background, size=arguments.size, steps=arguments.steps, fps=arguments.fps
     )
     with scene_or_copy(arguments.source) as source:
         written = _render(arguments, source, console)
-    console.print(f"{arguments.out}: {written} images", soft_wrap=True)
+    console.print(f"{arguments.out}: {count_text(written, 'image')}", soft_wrap=True)
 
 
 def _render(arguments: Arguments, source: Location, console: Console) -> int:
@@ -161,22 +165,50 @@ def _write_views(arguments: Arguments, playable: Playable, frames: list[int], fp
 
 
 def _write_path(arguments: Arguments, playable: Playable, frames: list[int], fps: float, console: Console) -> int:
-    from fourd.viewer.navigation.paths import camera_path
     from fourd.viewer.output.png import write_png
     from fourd.viewer.output.video import is_video, write_video
 
-    assert arguments.path is not None
-    steps = arguments.steps or max(120, len(frames))
-    views = list(playable.views.values())
-    cameras = camera_path(arguments.path, views, playable.focus, steps, size=arguments.size, is_whole=playable.is_whole)
-    jobs = [("", camera, frames[step % len(frames)]) for step, camera in enumerate(cameras)]
+    views, path_fps = _along_path(arguments, playable, frames)
+    jobs = [("", camera, frame) for camera, frame in views]
     pictures = (_rgb(playable, camera, frame, arguments) for _, camera, frame in _track(jobs, console))
     if is_video(arguments.out):
-        write_video(arguments.out, pictures, fps)
+        write_video(arguments.out, pictures, arguments.fps or path_fps or fps)
     else:
         for step, picture in enumerate(pictures):
             write_png(arguments.out / f"{step:06d}.png", picture)
     return len(jobs)
+
+
+def _along_path(
+    arguments: Arguments, playable: Playable, frames: list[int]
+) -> tuple[list[tuple[Camera, int]], float | None]:
+    """Return the camera and the index of the frame of each image along the path, and the images per second if the path
+    file states them."""
+    from fourd.viewer.navigation.paths import PathKind, camera_path
+    from fourd.viewer.navigation.recorded_path import read_path_option
+
+    assert arguments.path is not None
+    views = list(playable.views.values())
+    kinds: dict[str, PathKind] = {kind: kind for kind in get_args(PathKind)}
+    if arguments.path not in kinds:
+        recorded = read_path_option(arguments.path)
+        if arguments.steps is not None or arguments.frames is not None:
+            raise UserError(f"--path {arguments.path}: expected no --steps and no --frames, because the file has them")
+        width, height = arguments.size or ((views[0].width, views[0].height) if views else (1280, 720))
+        last = len(playable.frame_numbers) - 1
+        samples = recorded.samples
+        return [(each.pose.camera(width, height), min(each.frame, last)) for each in samples], recorded.fps
+    steps = arguments.steps or max(120, len(frames))
+    cameras = camera_path(
+        kinds[arguments.path],
+        views,
+        playable.focus,
+        steps,
+        size=arguments.size,
+        is_whole=playable.is_whole,
+        bounds=playable.bounds,
+    )
+    return [(camera, frames[step % len(frames)]) for step, camera in enumerate(cameras)], None
 
 
 def _track(jobs: list[tuple[str, Camera, int]], console: Console) -> Iterator[tuple[str, Camera, int]]:
@@ -186,8 +218,14 @@ def _track(jobs: list[tuple[str, Camera, int]], console: Console) -> Iterator[tu
 
 
 def _rgb(playable: Playable, camera: Camera, frame: int, arguments: Arguments) -> NDArray[np.uint8]:
+    """Return an image (H, W, 3), or (H, W, 4) with --transparent."""
     import numpy as np
 
+    from fourd.viewer.output.png import with_alpha
+
+    if arguments.transparent:
+        black, white = (playable.render(camera, frame, arguments.layers, np.full(3, x, np.float32)) for x in (0, 1))
+        return with_alpha(black, white)
     rgb = playable.render(camera, frame, arguments.layers, np.asarray(arguments.background, np.float32))
     return (rgb.clip(0, 1) * 255 + 0.5).astype(np.uint8)
 
