@@ -35,6 +35,9 @@ CapturePath = tyro.conf.Positional[Annotated[Path, READS, tyro.conf.arg(metavar=
 ScenePath = tyro.conf.Positional[Annotated[Path, READS, tyro.conf.arg(metavar="SCENE")]]
 RunPath = tyro.conf.Positional[Annotated[Path, READS, tyro.conf.arg(metavar="RUN")]]
 Views = Annotated[str | None, option("NAME,NAME", "all", VIEWS_HELP)]
+ExcludedViews = Annotated[
+    str | None, option("NAME,NAME", "none", "Names of cameras that are not used, separated by commas.")
+]
 Frames = Annotated[str | None, option("A:B[:S]", "all", FRAMES_HELP)]
 FramesPerSecond = Annotated[
     float | None,
@@ -118,12 +121,13 @@ class SelectionOptions:
     """Which cameras and frames of the capture the command uses."""
 
     views: Views = None
+    exclude_views: ExcludedViews = None
     frames: Frames = None
 
     @property
     def names(self) -> tuple[str, ...] | None:
-        """The names in ``views``; None selects all cameras."""
-        return split_names(self.views)
+        """The cameras that the options select; None selects all cameras."""
+        return chosen_views(self.views, self.exclude_views)
 
 
 def check_rendering(
@@ -145,6 +149,19 @@ def check_rendering(
         raise UserError(f"--steps: expected at least 1, got {steps}")
     if fps is not None and not 0 < fps <= 1000:
         raise UserError(f"--fps: expected more than 0 and at most 1000, got {fps:g}")
+
+
+def chosen_views(views: str | None, excluded: str | None) -> tuple[str, ...] | None:
+    """Return the names that --views or --exclude-views select, as
+    :func:`~fourd.recording.capture.layout.select_views` takes them. None selects all cameras."""
+    if excluded is None:
+        return split_names(views)
+    if views is not None:
+        raise UserError("--views, --exclude-views: expected one of them, got both; remove one")
+    names = split_names(excluded)
+    if not names:
+        raise UserError("--exclude-views: expected camera names, got none; write for example --exclude-views 05")
+    return tuple(f"-{name}" for name in names)
 
 
 def split_names(text: str | None) -> tuple[str, ...] | None:

@@ -17,7 +17,16 @@ from fourd.base.errors import UserError
 from fourd.base.progress import Terminal
 from fourd.base.storage import local_path
 from fourd.cli.help import RARE
-from fourd.cli.options import FRAMES_HELP, VIEWS_HELP, LpipsWeights, describe, option, split_names
+from fourd.cli.options import (
+    FRAMES_HELP,
+    VIEWS_HELP,
+    ExcludedViews,
+    LpipsWeights,
+    chosen_views,
+    describe,
+    option,
+    split_names,
+)
 from fourd.cli.outputs import READS
 from fourd.reconstruction.training.config import TrainConfig
 from fourd.rendering.ops.device_name import DeviceName
@@ -102,6 +111,7 @@ class TrainingOptions:
     """Without test views, train on all cameras from the start. By default, one camera is held out from the first part
     of training, to measure the quality of new views."""
     views: Annotated[str | None, RARE, _config_option("views", "NAME,NAME", VIEWS_HELP)] = None
+    exclude_views: Annotated[ExcludedViews, RARE] = None
     frames: Annotated[str | None, _config_option("frames", "A:B[:S]", FRAMES_HELP)] = None
     scale: Annotated[float | None, _config_option("scale", "FLOAT")] = None
     """Scale factor of the images. A factor of 0.5 halves width and height."""
@@ -163,6 +173,10 @@ class TrainingOptions:
         for key, (name, value) in SWITCHES.items():
             if getattr(self, name):
                 config = _replace_key(config, key, {key.rpartition(".")[2]: value}, _flag(name))
+        if self.exclude_views is not None:
+            if "views" in assigned:
+                raise UserError("--exclude-views, --set views: expected one of them, got both; remove one")
+            config = replace(config, views=chosen_views(self.views, self.exclude_views))
         if self.keep_colours:
             if self.refine_colours:
                 raise UserError("--refine-colours, --keep-colours: expected one of them, got both; remove one")
