@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
 import sys
 import time
 from dataclasses import dataclass
@@ -43,10 +44,18 @@ class Arguments:
     docs/figures/demo.png is such a figure."""
 
 
+def program() -> str:
+    """Return how to call fourd in this terminal: by its name, or by its path if the shell would not find it."""
+    beside = Path(sys.executable).with_name("fourd")
+    if shutil.which("fourd") is not None or not beside.exists():
+        return "fourd"
+    return str(beside.relative_to(Path.cwd()) if beside.is_relative_to(Path.cwd()) else beside)
+
+
 def step(*words: object) -> None:
     """Print and run one fourd command. Exit if the command fails."""
     arguments = [str(word) for word in words]
-    print(f"\n$ fourd {shlex.join(arguments)}", flush=True)
+    print(f"\n$ {shlex.join([program(), *arguments])}", flush=True)
     code = fourd(arguments)
     if code != 0:
         sys.exit(code)
@@ -97,14 +106,14 @@ def main() -> None:
     if arguments.figure is not None:
         draw_figure(scene, capture, arguments.figure)
     scores = json.loads(figures.read_text())
-    megabytes = scene.stat().st_size / 2**20
+    megabytes = scene.stat().st_size / 1e6
     print(
         f"\nFinished in {time.monotonic() - started:.0f} s: {scene} ({megabytes:.0f} MB) and {video}."
         f"\nHeld-out cameras {TEST_VIEWS}: {scores['image']['psnr']:.2f} dB PSNR on the whole image, "
         f"{scores['box']['psnr']:.2f} dB in the foreground's box."
-        f"\nNext: open {video}; {command_line('fourd', 'view', scene)}; "
-        f"{command_line('fourd', 'render', scene, '--path', 'spiral', '--out', 'spiral.mp4')}; "
-        "fourd make YOUR_CAPTURE -o scene.4dv"
+        f"\nNext: {command_line(program(), 'view', scene)}; open {video}; "
+        f"{command_line(program(), 'render', scene, '--path', 'spiral', '--out', 'spiral.mp4')}; "
+        f"{program()} make YOUR_CAPTURE -o scene.4dv"
     )
 
 

@@ -17,8 +17,8 @@ from fourd.base.errors import UserError
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.loaded_scene import LoadedScene
 from fourd.viewer.navigation.paths import PathKind, camera_path, fit_camera
-from fourd.viewer.navigation.recorded_path import load_recorded_path
-from fourd.viewer.output.png import write_png
+from fourd.viewer.navigation.recorded_path import read_path_option
+from fourd.viewer.output.png import with_alpha, write_png
 from fourd.viewer.output.video import write_video
 from fourd.viewer.playback.sources import open_frame_source
 from fourd.viewer.rendering.offscreen import OffscreenRenderer
@@ -62,10 +62,13 @@ class Headless:
         finally:
             scene.close()
 
-    def screenshot(self, out: Path, camera: str | None, frame: int, console: Console) -> None:
+    def screenshot(
+        self, out: Path, camera: str | None, frame: int, console: Console, *, is_transparent: bool = False
+    ) -> None:
         """Write a PNG of one frame from a capture camera.
 
-        ``frame`` is an index from 0. ``camera`` is the name of a camera, or None for the first camera.
+        ``frame`` is an index from 0. ``camera`` is the name of a camera, or None for the first camera. If
+        ``is_transparent`` is true, the image has an alpha channel instead of a background.
         """
         scene = LoadedScene(self.source, open_frame_source(self.source))
         try:
@@ -74,9 +77,21 @@ class Headless:
             chosen = _select_camera(scene, camera, self.size)
             with OffscreenRenderer(self.renderer) as renderer:
                 console.print(f"renderer: {renderer.choice.name} ({renderer.choice.reason})", soft_wrap=True)
-                write_png(out, next(self._render(scene, renderer, [(chosen, frame)])))
+                if is_transparent:
+                    black, white = (self._on(value, scene, renderer, (chosen, frame)) for value in (0.0, 1.0))
+                    write_png(out, with_alpha(black, white))
+                else:
+                    write_png(out, next(self._render(scene, renderer, [(chosen, frame)])))
         finally:
             scene.close()
+
+    def _on(
+        self, grey: float, scene: LoadedScene, renderer: OffscreenRenderer, view: tuple[Camera, int]
+    ) -> NDArray[np.float32]:
+        """Render a view in front of a grey value. Returns (H, W, 3) in [0, 1]."""
+        settings = replace(self.settings, background=(grey, grey, grey))
+        picture = next(replace(self, settings=settings)._render(scene, renderer, [view]))
+        return picture.astype(np.float32) / np.float32(255)
 
     def _render(
         self, scene: LoadedScene, renderer: OffscreenRenderer, views: Iterable[tuple[Camera, int]]
@@ -95,17 +110,16 @@ def _cameras_along_path(
     manifest = scene.manifest
     kinds: dict[str, PathKind] = {kind: kind for kind in get_args(PathKind)}
     if path not in kinds:
-        if not Path(path).exists():
-            names = ", ".join(kinds)
-            raise UserError(f"--path: expected {names} or a file recorded in the window, got '{path}'")
-        recorded = load_recorded_path(Path(path))
+        recorded = read_path_option(path)
         cameras = [sample.pose.camera(*size) for sample in recorded.samples]
         last = manifest.frame_count - 1
         return cameras, [min(max(sample.frame, 0), last) for sample in recorded.samples], recorded.fps
     count = steps or max(MIN_STEPS, manifest.frame_count)
     if manifest.cameras:
         is_whole = manifest.background is not None
-        cameras = camera_path(kinds[path], manifest.cameras, manifest.focus, count, size=size, is_whole=is_whole)
+        cameras = camera_path(
+            kinds[path], manifest.cameras, manifest.focus, count, size=size, is_whole=is_whole, bounds=manifest.bounds
+        )
     else:
         start = scene.initial_pose(size)
         cameras = [start.orbit(2 * np.pi * step / count, 0.0).camera(*size) for step in range(count)]

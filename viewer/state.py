@@ -18,7 +18,7 @@ from fourd.viewer.navigation.recorded_path import PathRecorder, PathSample, Reco
 from fourd.viewer.navigation.saved_views import SavedViews, default_file
 from fourd.viewer.output.png import write_png
 from fourd.viewer.progress_window import draw_progress
-from fourd.viewer.rendering.renderers import RendererName
+from fourd.viewer.rendering.renderer_name import RendererName
 from fourd.viewer.session import Session
 from fourd.viewer.timings import Timings
 from fourd.viewer.window import Window

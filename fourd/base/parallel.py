@@ -14,8 +14,6 @@ from multiprocessing.connection import wait as wait_for
 from multiprocessing.queues import SimpleQueue
 from typing import Any, TypeVar
 
-import cv2
-
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 Item = TypeVar("Item")
@@ -88,6 +86,8 @@ def _initialize(results: SimpleQueue[Any]) -> None:
     process exits when its parent exits. OpenCV uses only one thread, because the other cores run the other processes of
     the pool.
     """
+    import cv2  # Commands that start no processes must not wait for this import.
+
     global _results
     cv2.setNumThreads(1)
     _results = results

@@ -144,6 +144,12 @@ def format_duration(seconds: float) -> str:
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
 
 
+def format_minutes(seconds: float) -> str:
+    """Format a duration as M:SS, or as H:MM:SS from one hour on."""
+    text = format_duration(seconds)
+    return text.removeprefix("0:").removeprefix("0") if text.startswith("0:0") else text.removeprefix("0:")
+
+
 class _RemainingTime(ProgressColumn):
     """Column of the progress bar that shows the time until the estimated end of the phase."""
 

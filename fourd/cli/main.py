@@ -11,12 +11,10 @@ from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
 from pathlib import Path
 
-from fourd.base.errors import UserError
+from fourd.base.errors import UserError, command_line
 from fourd.base.limits import printable
 from fourd.base.processes import ReceivedSignals, handle_termination
 from fourd.base.processes.torchrun import rank_count
-from fourd.base.progress import Terminal
-from fourd.cli.usage import one_line_of_usage
 
 COMMANDS = {
     "make": "runs.make",
@@ -110,12 +108,16 @@ HELP = """fourd turns multi-view video of a moving scene into a 4D point scene.
   fourd info FILE|DIR               describe a file or folder
   fourd verify RUN|SCENE|CAPTURE    verify that files are whole and unaltered
 
-fourd COMMAND --help lists the command's options and their units.
+fourd COMMAND --help, or fourd help COMMAND, lists the command's options and their units. For commands with many
+options, it lists those that are used most, and fourd COMMAND --help-all lists all of them.
 Exit codes: 0 success; 1 internal error; 2 wrong input, or a file that cannot be read or written;
 130 interrupted by Ctrl-C or SIGTERM (finished results are kept);
 141 the program that reads the output ended first.
 """
 
+
+HELP_ALL = "--help-all"
+"""The option that lists all options of a command."""
 
 BROKEN_PIPE = 141
 """Exit code if the program that reads the output ends before fourd, as in ``fourd info FILE | head``.
@@ -188,6 +190,8 @@ def _report_interrupts(words: list[str], signals: ReceivedSignals) -> int:
     except Exception:
         if not signals.any():
             raise
+    from fourd.base.progress import Terminal
+
     Terminal(stderr=True).print(f"fourd {words[0]}: interrupted; finished results are kept")
     return 130
 
@@ -196,10 +200,12 @@ def _report_errors(words: list[str]) -> int:
     """Run a command, and report an error as one line."""
     # GOMP_SPINCOUNT is set before a command imports torch, because GNU OpenMP reads the variable during this import.
     os.environ.setdefault("GOMP_SPINCOUNT", SPIN_COUNT)
-    if not words or words[0] in ("-h", "--help"):
+    if words[:1] == ["help"]:
+        words = [*words[1:2], "--help"]
+    if not words or words[0] in ("-h", "--help", "--help-all"):
         print(HELP, end="")
         return 0
-    if words[0] == "--version":
+    if words[0] in ("-V", "--version"):
         from fourd.base.version import __version__
 
         print(f"fourd {__version__}")
@@ -261,8 +267,10 @@ def _run(command: str, words: list[str]) -> int:
 
     import tyro
 
+    from fourd.cli.help import help_form, rare_options
     from fourd.cli.locations import refuse_urls
     from fourd.cli.outputs import refuse_overwriting
+    from fourd.cli.usage import one_line_of_usage
 
     if command not in COMMANDS:
         near = difflib.get_close_matches(command, COMMANDS, n=1)
@@ -271,12 +279,19 @@ def _run(command: str, words: list[str]) -> int:
     module = importlib.import_module(f"fourd.cli.{COMMANDS[command]}")
     if signal.getsignal(signal.SIGTERM) is signal.default_int_handler:
         handle_termination()  # The import of a C++ library such as pycolmap may have replaced the handler.
+    form, description = module.Arguments, f"{module.__doc__} {module.Arguments.__doc__}"
+    if any(word in ("-h", "--help", HELP_ALL) for word in words):
+        is_short = HELP_ALL not in words
+        left_out = len(list(rare_options(form))) if is_short else 0
+        if left_out:
+            description += f" {command_line('fourd', command, HELP_ALL)} lists {left_out} more options."
+        form, words = help_form(form, is_short=is_short), ["--help"]
     with one_line_of_usage():
         arguments = tyro.cli(
-            module.Arguments,
+            form,
             prog=f"fourd {command}",
             args=words,
-            description=_wrap(f"{module.__doc__} {module.Arguments.__doc__}"),
+            description=_wrap(description),
             config=(tyro.conf.OmitArgPrefixes,),
         )
     refuse_urls(arguments, words)

@@ -12,7 +12,6 @@ import tyro
 from fourd.base.errors import UserError
 from fourd.base.parallel import core_count
 from fourd.cli.outputs import READS
-from fourd.recording.capture.video_list import MAX_OFFSET
 
 FRAMES_HELP = "Every S-th frame from A to B, B excluded. A and B are indices of frames in the capture, from 0."
 VIEWS_HELP = "Names of cameras, separated by commas."
@@ -36,6 +35,9 @@ CapturePath = tyro.conf.Positional[Annotated[Path, READS, tyro.conf.arg(metavar=
 ScenePath = tyro.conf.Positional[Annotated[Path, READS, tyro.conf.arg(metavar="SCENE")]]
 RunPath = tyro.conf.Positional[Annotated[Path, READS, tyro.conf.arg(metavar="RUN")]]
 Views = Annotated[str | None, option("NAME,NAME", "all", VIEWS_HELP)]
+ExcludedViews = Annotated[
+    str | None, option("NAME,NAME", "none", "Names of cameras that are not used, separated by commas.")
+]
 Frames = Annotated[str | None, option("A:B[:S]", "all", FRAMES_HELP)]
 FramesPerSecond = Annotated[
     float | None,
@@ -119,12 +121,13 @@ class SelectionOptions:
     """Which cameras and frames of the capture the command uses."""
 
     views: Views = None
+    exclude_views: ExcludedViews = None
     frames: Frames = None
 
     @property
     def names(self) -> tuple[str, ...] | None:
-        """The names in ``views``; None selects all cameras."""
-        return split_names(self.views)
+        """The cameras that the options select; None selects all cameras."""
+        return chosen_views(self.views, self.exclude_views)
 
 
 def check_rendering(
@@ -148,6 +151,19 @@ def check_rendering(
         raise UserError(f"--fps: expected more than 0 and at most 1000, got {fps:g}")
 
 
+def chosen_views(views: str | None, excluded: str | None) -> tuple[str, ...] | None:
+    """Return the names that --views or --exclude-views select, as
+    :func:`~fourd.recording.capture.layout.select_views` takes them. None selects all cameras."""
+    if excluded is None:
+        return split_names(views)
+    if views is not None:
+        raise UserError("--views, --exclude-views: expected one of them, got both; remove one")
+    names = split_names(excluded)
+    if not names:
+        raise UserError("--exclude-views: expected camera names, got none; write for example --exclude-views 05")
+    return tuple(f"-{name}" for name in names)
+
+
 def split_names(text: str | None) -> tuple[str, ...] | None:
     """Split names at commas; None stays None."""
     return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
@@ -156,6 +172,8 @@ def split_names(text: str | None) -> tuple[str, ...] | None:
 def parse_offsets(words: Sequence[str]) -> dict[str, float]:
     """Parse the values of --offset, each a list of CAM=FRAMES separated by commas. The result maps each CAM to its
     FRAMES."""
+    from fourd.recording.capture.video_list import MAX_OFFSET
+
     found: dict[str, float] = {}
     for part in (part.strip() for word in words for part in word.split(",") if part.strip()):
         name, _, frames = part.rpartition("=")

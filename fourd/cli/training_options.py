@@ -6,7 +6,7 @@ import operator
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -16,11 +16,23 @@ from fourd.base.configs import assigned_keys, load_overlay, set_values
 from fourd.base.errors import UserError
 from fourd.base.progress import Terminal
 from fourd.base.storage import local_path
-from fourd.cli.options import FRAMES_HELP, VIEWS_HELP, LpipsWeights, describe, option, split_names
+from fourd.cli.help import RARE
+from fourd.cli.options import (
+    FRAMES_HELP,
+    VIEWS_HELP,
+    ExcludedViews,
+    LpipsWeights,
+    chosen_views,
+    describe,
+    option,
+    split_names,
+)
 from fourd.cli.outputs import READS
-from fourd.pipeline.report.summary import RunSummary
 from fourd.reconstruction.training.config import TrainConfig
-from fourd.rendering.ops.gpu import DeviceName
+from fourd.rendering.ops.device_name import DeviceName
+
+if TYPE_CHECKING:
+    from fourd.pipeline.report.summary import RunSummary
 
 SEEDING_METHODS = ("ngp", "sfm")
 """Methods that compute the initial background points. ``--background`` accepts one of them or a PLY file."""
@@ -85,48 +97,50 @@ class TrainingOptions:
     """object: reconstruct only the foreground that the mattes cover, and render it in front of black. full: also
     reconstruct a static background. With full, a capture needs no mattes if nothing moves in it or if it has only one
     frame."""
-    config: Annotated[Path | None, READS, option("FILE.yaml", "none")] = None
+    config: Annotated[Path | None, RARE, READS, option("FILE.yaml", "none")] = None
     """YAML file with config keys. docs/configuration.md lists all keys."""
     assignments: Annotated[
         tuple[str, ...],
+        RARE,
         tyro.conf.arg(name="set", metavar="KEY=VALUE", help_behavior_hint="(repeatable)"),
         tyro.conf.UseAppendAction,
     ] = ()
     """Set any config key, for example --set rates.planes=1e-3 --set model.planes.levels=3."""
     test_views: Annotated[str | None, option("NAME,NAME|none", TEST_VIEWS_DEFAULT, TEST_VIEWS_HELP)] = None
-    no_held_out: bool = False
+    no_held_out: Annotated[bool, RARE] = False
     """Without test views, train on all cameras from the start. By default, one camera is held out from the first part
     of training, to measure the quality of new views."""
-    views: Annotated[str | None, _config_option("views", "NAME,NAME", VIEWS_HELP)] = None
+    views: Annotated[str | None, RARE, _config_option("views", "NAME,NAME", VIEWS_HELP)] = None
+    exclude_views: Annotated[ExcludedViews, RARE] = None
     frames: Annotated[str | None, _config_option("frames", "A:B[:S]", FRAMES_HELP)] = None
     scale: Annotated[float | None, _config_option("scale", "FLOAT")] = None
     """Scale factor of the images. A factor of 0.5 halves width and height."""
     points: Annotated[int | None, _config_option("points", "INT")] = None
     """Maximum number of points per frame."""
-    background: Annotated[str | None, _config_option("background", "{ngp,sfm,FILE.ply}", BACKGROUND_HELP)] = None
-    background_points: Annotated[int | None, _config_option("background_points", "INT")] = None
+    background: Annotated[str | None, RARE, _config_option("background", "{ngp,sfm,FILE.ply}", BACKGROUND_HELP)] = None
+    background_points: Annotated[int | None, RARE, _config_option("background_points", "INT")] = None
     """Maximum number of background points. Used only with --scene full."""
-    refine_cameras: bool = False
+    refine_cameras: Annotated[bool, RARE] = False
     """Refine poses and focal lengths by bundle adjustment before carving, then by gradient descent during training."""
-    refine_colours: bool = False
+    refine_colours: Annotated[bool, RARE] = False
     """Correct the colours of each camera. The default is to do so if matching points show that the cameras differ."""
-    keep_colours: bool = False
+    keep_colours: Annotated[bool, RARE] = False
     """Do not correct the colours of the cameras, even if they differ."""
-    segment: Annotated[int | None, _config_option("segment", "INT", SEGMENT_HELP)] = None
-    warm_start: bool = False
+    segment: Annotated[int | None, RARE, _config_option("segment", "INT", SEGMENT_HELP)] = None
+    warm_start: Annotated[bool, RARE] = False
     """With --segment: start the networks of each segment from the trained networks of the previous segment."""
-    points_from: Annotated[Path | None, READS, option("DIR", "points are carved from the mattes")] = None
+    points_from: Annotated[Path | None, RARE, READS, option("DIR", "points are carved from the mattes")] = None
     """Folder with your own initial points in world units, as one PLY file per frame: 000000.ply and so on."""
-    accept_mattes: bool = False
+    accept_mattes: Annotated[bool, RARE] = False
     """Train even if the visual hull covers less than a third of the area of the mattes."""
     max_seconds: Annotated[float | None, option("SECONDS", "1800 for fourd make without --max-steps, else none")] = None
     """Stop after this many seconds of training. fourd train needs --max-steps or --max-seconds."""
     max_steps: Annotated[int | None, option("INT", "none")] = None
     """Stop after this many training steps. fourd train needs --max-steps or --max-seconds."""
     device: Annotated[DeviceName, describe(*DEVICE_HELP)] = "auto"
-    seed: Annotated[int | None, _config_option("seed", "INT")] = None
+    seed: Annotated[int | None, RARE, _config_option("seed", "INT")] = None
     """Random seed."""
-    lpips_weights: LpipsWeights = None
+    lpips_weights: Annotated[LpipsWeights, RARE] = None
 
     def train_config(self, max_seconds: float | None = None) -> TrainConfig:
         """Return the default config with the values of the config file, --set and the flags. --set and the flags
@@ -159,6 +173,10 @@ class TrainingOptions:
         for key, (name, value) in SWITCHES.items():
             if getattr(self, name):
                 config = _replace_key(config, key, {key.rpartition(".")[2]: value}, _flag(name))
+        if self.exclude_views is not None:
+            if "views" in assigned:
+                raise UserError("--exclude-views, --set views: expected one of them, got both; remove one")
+            config = replace(config, views=chosen_views(self.views, self.exclude_views))
         if self.keep_colours:
             if self.refine_colours:
                 raise UserError("--refine-colours, --keep-colours: expected one of them, got both; remove one")

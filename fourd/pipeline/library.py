@@ -15,7 +15,7 @@ from fourd.reconstruction.training.config import TrainConfig
 from fourd.reconstruction.training.run import Run, open_run
 from fourd.recording.importing.importer import ImportOptions
 from fourd.recording.matting.sequence import MatteSettings
-from fourd.rendering.ops.gpu import DeviceName
+from fourd.rendering.ops.device_name import DeviceName
 from fourd.scene.files.encoding import Tier
 from fourd.scene.packing.report import PackSettings
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
     from fourd.reconstruction.training.distributed.process_group import ProcessGroup
-    from fourd.rendering.ops.gpu import DeviceName
+    from fourd.rendering.ops.device_name import DeviceName
 
 Files = TypeVar("Files", bound="DataclassInstance")
 Settings = TypeVar("Settings", bound="DataclassInstance")

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from fourd.reconstruction.training.segments.segmented_run import SegmentedRun
 
 
+Bounds = tuple[Sequence[float], Sequence[float]]
+
+
 class Playable(Protocol):
     """Renders the frames of a run or a scene by index."""
 
@@ -32,6 +35,10 @@ class Playable(Protocol):
     @property
     def focus(self) -> NDArray[np.float64]:
         """Centre of the scene in world units, (3,)."""
+
+    @property
+    def bounds(self) -> Bounds | None:
+        """Lower and upper corner of the box around the subject, in world units, or None if it is not known."""
 
     @property
     def is_whole(self) -> bool:
@@ -73,6 +80,10 @@ class PlayableScene:
         return np.asarray(self.scene.manifest.focus)
 
     @property
+    def bounds(self) -> Bounds | None:
+        return self.scene.manifest.bounds
+
+    @property
     def is_whole(self) -> bool:
         return self.scene.manifest.background is not None
 
@@ -105,6 +116,11 @@ class PlayableRun:
     @property
     def focus(self) -> NDArray[np.float64]:
         return self.trained.run.focus
+
+    @property
+    def bounds(self) -> Bounds | None:
+        scene = self.trained.run.config.scene
+        return scene.lower, scene.upper
 
     @property
     def is_whole(self) -> bool:

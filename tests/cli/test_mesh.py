@@ -95,7 +95,7 @@ def test_remeshing_gives_fewer_triangles(
     """Catches remeshing with a length in the wrong unit, and a missing package that is reported only after the fit."""
     words = ["mesh", str(capture), "-o", str(tmp_path), "--frames", "0:1", *SMALL, "--remesh", "1"]
     with monkeypatch.context() as patched:
-        patched.setattr("fourd.cli.captures.mesh.remeshing_is_available", lambda: False)
+        patched.setattr("fourd.reconstruction.meshes.surface.remeshing.remeshing_is_available", lambda: False)
         assert main(words) == 2
     assert "--remesh: expected the package gpytoolbox, got none" in capsys.readouterr().err
     pytest.importorskip("gpytoolbox")

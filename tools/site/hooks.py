@@ -1,6 +1,6 @@
 """MkDocs hooks that generate pages while the site is built.
 
-- ``reference/cli.md`` contains the ``--help`` of each command.
+- ``reference/cli.md`` contains the ``--help-all`` of each command.
 - ``examples.md`` contains the programs in ``examples/``.
 - ``contributing.md`` and ``changelog.md`` are copies of the files at the top of the repository.
 - ``player/`` contains the modules of the web player. Pages with scenes load them, and ``scenes/page.js``.
@@ -31,8 +31,8 @@ SCENES = "scenes"
 
 CLI_HEAD = """# Commands
 
-This page is generated from `fourd --help` and `fourd COMMAND --help`. Exit codes are 0 on success, 2 if the input is
-wrong and 1 on an internal error.
+This page is generated from `fourd --help` and `fourd COMMAND --help-all`. Exit codes are 0 on success, 2 if the
+input is wrong and 1 on an internal error.
 """
 
 
@@ -89,14 +89,14 @@ def cli_reference() -> str:
 
 
 def command_help(command: str | None = None) -> str:
-    """Return the output of ``fourd COMMAND --help``, or of ``fourd --help`` if ``command`` is None, at a fixed width
-    and without colours."""
+    """Return the output of ``fourd COMMAND --help-all``, or of ``fourd --help`` if ``command`` is None, at a fixed
+    width and without colours."""
     from fourd.cli.main import main
 
     printed = io.StringIO()
     arguments = [] if command is None else [command]
     with _plain_terminal(), contextlib.redirect_stdout(printed), contextlib.suppress(SystemExit):
-        main([*arguments, "--help"])
+        main([*arguments, "--help-all"])
     return printed.getvalue().rstrip()
 
 

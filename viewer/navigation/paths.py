@@ -17,10 +17,9 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from fourd.base.cameras import Camera, estimate_up, look_at
-from fourd.base.convex_hull import distance_to_hull
+from fourd.viewer.navigation.placement import Bounds, frame_subject, keep_in_room
 
 Array = NDArray[np.float64]
-Bounds = tuple[Sequence[float], Sequence[float]]
 PathKind = Literal["orbit", "spiral", "cameras"]
 
 _MAX_GAP = np.radians(120)
@@ -29,11 +28,6 @@ radians.
 
 Across a larger gap, no camera observes the side of the scene between the two cameras.
 """
-ROOM_MARGIN = 0.95
-"""Largest distance of a path from the focus, as a fraction of the distance to the convex hull of the cameras."""
-MIN_ROOM_SHARE = 0.5
-"""A path is moved into the convex hull of the cameras only if it keeps at least this fraction of its distance. The hull
-of a ring of cameras is flat, and no room."""
 
 
 def camera_path(
@@ -44,16 +38,22 @@ def camera_path(
     *,
     size: tuple[int, int] | None = None,
     is_whole: bool = False,
+    bounds: Bounds | None = None,
 ) -> list[Camera]:
     """Call :func:`orbit`, :func:`spiral` or :func:`interpolate`, depending on ``kind``, and return the looping path.
 
     A path of the kind "cameras" goes through all cameras in order of azimuth. If ``is_whole`` is true, the scene has
-    surroundings, and the paths around the focus stay in the room; see :func:`keep_in_room`.
+    surroundings, and the paths around the focus stay in the room; see
+    :func:`~fourd.viewer.navigation.placement.keep_in_room`. Otherwise, ``bounds``, the
+    box (lower, upper) of the subject, brings these paths nearer to a small subject; see :func:`frame_subject`.
     """
     if kind != "cameras":
         around = orbit if kind == "orbit" else spiral
         path = around(cameras, steps, focus=focus, size=size)
-        return keep_in_room(path, cameras, estimate_focus(cameras) if focus is None else focus) if is_whole else path
+        centre = estimate_focus(cameras) if focus is None else focus
+        if is_whole:
+            return keep_in_room(path, cameras, centre)
+        return path if bounds is None else frame_subject(path, centre, bounds)
     return interpolate([cameras[index] for index in order_by_azimuth(cameras, focus)], steps, size=size)
 
 
@@ -118,27 +118,6 @@ def spiral(
     azimuths = _path_azimuths(rig, steps, full, turns)
     angles = zip(azimuths, elevations, strict=True)
     return [rig.camera(azimuth, elevation, rig.distance, size) for azimuth, elevation in angles]
-
-
-def keep_in_room(path: Sequence[Camera], cameras: Sequence[Camera], focus: Sequence[float] | Array) -> list[Camera]:
-    """Move the cameras of a path towards ``focus``, all by the same factor, into the convex hull of ``cameras``.
-
-    Cameras all around a scene usually hang on the walls of a room, and the median distance of cameras in a box leads
-    through its walls. The path is returned unchanged if the cameras do not surround the focus: if their hull does not
-    contain it, or if the path would have to come nearer than MIN_ROOM_SHARE of its distance.
-    """
-    centre = np.asarray(focus, dtype=np.float64)
-    offsets = np.stack([camera.centre for camera in path]) - centre
-    distances = np.maximum(np.linalg.norm(offsets, axis=1), 1e-12)
-    walls = distance_to_hull(offsets / distances[:, None], np.stack([camera.centre for camera in cameras]), centre)
-    factor = min(1.0, ROOM_MARGIN * float((walls / distances).min()))
-    if factor < MIN_ROOM_SHARE:
-        return list(path)
-    centres = centre + factor * offsets
-    return [
-        Camera(camera.intrinsics, camera.rotation, -camera.rotation @ at, camera.width, camera.height)
-        for camera, at in zip(path, centres, strict=True)
-    ]
 
 
 def interpolate(

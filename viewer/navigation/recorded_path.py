@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from msgspec import Meta
 
 from fourd.base.errors import UserError
 from fourd.base.files import write_text_atomically
 from fourd.base.json_file import read_json_as
+from fourd.viewer.navigation.paths import PathKind
 from fourd.viewer.navigation.pose import Pose
 from fourd.viewer.navigation.saved_views import StoredPose, pose_to_json
 
@@ -79,6 +80,18 @@ class PathRecorder:
     def path(self) -> RecordedPath:
         """Return the path with all samples recorded so far."""
         return RecordedPath(tuple(self._samples))
+
+
+def read_path_option(path: str) -> RecordedPath:
+    """Load the file that the option --path names, and that the caller has found not to be a name of a path.
+
+    Raises:
+        UserError: if there is no such file, or if it is not a path.
+    """
+    if not Path(path).exists():
+        names = ", ".join(get_args(PathKind))
+        raise UserError(f"--path: expected {names} or a file recorded in the window, got '{path}'")
+    return load_recorded_path(Path(path))
 
 
 def load_recorded_path(path: Path) -> RecordedPath:

@@ -31,6 +31,10 @@ _CHUNK = 1 << 18
 _SECONDS_PER_CONNECTION = 60
 
 
+class PortInUse(UserError):
+    """Another program listens on the port."""
+
+
 @dataclass(frozen=True)
 class Part:
     """The range of a file that a response sends: ``length`` bytes, starting at byte ``start``."""
@@ -161,7 +165,7 @@ class SiteServer(ThreadingHTTPServer):
             super().__init__((host, port), self.handler)
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
-                raise UserError(f"--port {port}: expected a free port, got one in use; choose another one") from error
+                raise PortInUse(f"--port {port}: expected a free port, got one in use; choose another one") from error
             raise UserError(f"--host {host} --port {port}: cannot listen ({error.strerror or error})") from error
         # If the host is not a valid name, for example because it contains a control character, the socket raises
         # TypeError or UnicodeError, which is a ValueError.

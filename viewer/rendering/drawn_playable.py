@@ -13,7 +13,7 @@ from fourd.scene import BakedFrame, SceneManifest
 from fourd.scene.lenses.inserts import Insert
 from fourd.scene.lenses.lens import Lens
 from fourd.scene.lenses.picture import draw_through_lens
-from fourd.scene.playable import Playable
+from fourd.scene.playable import Bounds, Playable
 from fourd.scene.styled.player import StyledPlayer
 from fourd.scene.styles import Style
 from fourd.viewer.playback.prefetch import BakedFrameSource
@@ -81,6 +81,10 @@ class DrawnPlayable:
     @property
     def focus(self) -> NDArray[np.float64]:
         return self.plain.focus
+
+    @property
+    def bounds(self) -> Bounds | None:
+        return self.plain.bounds
 
     @property
     def is_whole(self) -> bool:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from fourd.base.errors import UserError
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.rendering.cpu import CPURenderer
-from fourd.viewer.rendering.renderers import Renderer, RendererChoice, RendererName, choose_renderer, make_renderer
+from fourd.viewer.rendering.renderer_name import RendererName
+from fourd.viewer.rendering.renderers import Renderer, RendererChoice, choose_renderer, make_renderer
 
 if TYPE_CHECKING:
     import moderngl

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fourd.base.errors import UserError
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.rendering.cpu import CPURenderer
+from fourd.viewer.rendering.renderer_name import RendererName
 
 if TYPE_CHECKING:
     import moderngl
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from fourd.viewer.gl.canvas import Canvas
     from fourd.viewer.gl.frame_textures import Precision
 
-RendererName = Literal["sorted", "peel", "dual", "cpu"]
 RENDERERS: tuple[RendererName, ...] = get_args(RendererName)
 
 SOFTWARE_DRIVERS = (

@@ -18,10 +18,6 @@ from fourd.base.processes import locked_folder
 from fourd.base.progress import Log, Terminal, Tracker
 from fourd.cli.options import Frames, option, parse_offsets
 from fourd.cli.outputs import READS, WRITES_WHOLE_FOLDER, Writes
-from fourd.pipeline.work.kept import copy_linked, next_kept
-from fourd.recording.board_calibration.calibrate import REPORT, CalibrationSettings, calibrate_rig, check_out
-from fourd.recording.board_calibration.printing import print_board
-from fourd.recording.boards import read_board
 
 VIDEOS_HELP = (
     "Folder with one video per camera, or one folder of images per camera. "
@@ -78,6 +74,10 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Calibrate the rig, or write a PDF file of the board for printing."""
+    from fourd.recording.board_calibration.calibrate import CalibrationSettings, calibrate_rig
+    from fourd.recording.board_calibration.printing import print_board
+    from fourd.recording.boards import read_board
+
     console = Terminal(stderr=True)
     board = read_board(arguments.board)
     if arguments.print_board is not None:
@@ -116,6 +116,9 @@ def run(arguments: Arguments) -> None:
 @contextmanager
 def _kept_calibration(out: Path, log: Log) -> Iterator[None]:
     """Keep an earlier calibration as OUT.1, OUT.2 and so on, if the block replaces it."""
+    from fourd.pipeline.work.kept import copy_linked, next_kept
+    from fourd.recording.board_calibration.calibrate import REPORT, check_out
+
     kept = next_kept(out)
     if not (out / REPORT).is_file():
         yield

@@ -13,12 +13,6 @@ from fourd.base.processes import locked_folder
 from fourd.base.progress import Terminal
 from fourd.cli.options import CapturePath, SelectionOptions, Workers, check_hull_shares, describe, option, worker_count
 from fourd.cli.outputs import WRITES
-from fourd.pipeline.runner import Runner
-from fourd.pipeline.stage import Context
-from fourd.pipeline.stages.points.carve import CarveStageSettings, carve_stage
-from fourd.reconstruction.carving import read_bounds
-from fourd.reconstruction.carving.sequence import BOUNDS_NAME
-from fourd.reconstruction.training.cameras.selection import DataSelection
 
 FOLDER = Path(".fourd") / "hulls"
 
@@ -69,6 +63,13 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Carve every frame and print the bounds."""
+    from fourd.pipeline.runner import Runner
+    from fourd.pipeline.stage import Context
+    from fourd.pipeline.stages.points.carve import CarveStageSettings, carve_stage
+    from fourd.reconstruction.carving import read_bounds
+    from fourd.reconstruction.carving.sequence import BOUNDS_NAME
+    from fourd.reconstruction.training.cameras.selection import DataSelection
+
     _check(arguments)
     capture, selection = arguments.capture, arguments.selection
     folder = arguments.out if arguments.out is not None else capture / FOLDER

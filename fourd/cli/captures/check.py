@@ -6,23 +6,23 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich.table import Table
 from rich.text import Text
 
 from fourd.base.errors import UserError, command_line
 from fourd.base.progress import Terminal, Tracker
 from fourd.base.storage import local_copy
 from fourd.cli.locations import CaptureLocation, transfer_progress
-from fourd.reconstruction.carving.matte_quality import MatteQuality, measure_mattes
-from fourd.reconstruction.carving.rig_evidence import RigEvidence, check_rig
-from fourd.recording.calibration.checks.agreement import Agreement, check_agreement
-from fourd.recording.calibration.checks.verdict import describe_residuals, describe_verified, judge
-from fourd.recording.capture import open_capture
-from fourd.recording.capture.check import Report, check_capture, first_lines
 from fourd.recording.capture.frame_rate import UNKNOWN_RATE, format_rate
-from fourd.recording.matting.contours import find_foreign_mattes
-from fourd.recording.sync.lateness import find_late_cameras
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from fourd.reconstruction.carving.matte_quality import MatteQuality
+    from fourd.reconstruction.carving.rig_evidence import RigEvidence
+    from fourd.recording.calibration.checks.agreement import Agreement
+    from fourd.recording.capture.check import Report
 
 MOST_LINES = 20
 DECODE_SECONDS = 60.0
@@ -57,6 +57,12 @@ def run(arguments: Arguments) -> None:
 
 
 def _check(capture: Path, arguments: Arguments) -> None:
+    from fourd.recording.calibration.checks.agreement import check_agreement
+    from fourd.recording.calibration.checks.verdict import judge
+    from fourd.recording.capture.check import check_capture, first_lines
+    from fourd.recording.matting.contours import find_foreign_mattes
+    from fourd.recording.sync.lateness import find_late_cameras
+
     console = Terminal()
     track = Tracker(Terminal(stderr=True)).track
     seconds = 0.0 if arguments.quick else DECODE_SECONDS
@@ -87,7 +93,8 @@ def _check(capture: Path, arguments: Arguments) -> None:
     titled = (
         ("note", "bold", report.notes),
         ("warning", "yellow", warnings),
-        ("problem", "bold red", report.problems),
+        # The first problem is the message of the error.
+        ("problem", "bold red", report.problems[1:]),
     )
     for title, style, lines in titled:
         for line in first_lines(lines, MOST_LINES):
@@ -109,12 +116,18 @@ def _check(capture: Path, arguments: Arguments) -> None:
 
 def _quality(path: Path, masked: Sequence[str]) -> MatteQuality | None:
     """Compare the masks of the user, or else the mattes of all cameras, with their visual hull."""
+    from fourd.reconstruction.carving.matte_quality import measure_mattes
+    from fourd.recording.capture import open_capture
+
     with open_capture(path, views=masked or None) as capture:
         return measure_mattes(capture, max_frames=MEASURED_FRAMES, track=Tracker(Terminal(stderr=True)).track)
 
 
 def _check_subject(path: Path, masked: Sequence[str]) -> RigEvidence:
     """Compare the calibration of the cameras that have masks with their masks."""
+    from fourd.reconstruction.carving.rig_evidence import check_rig
+    from fourd.recording.capture import open_capture
+
     with open_capture(path, views=masked) as whole:
         largest = max(max(camera.width, camera.height) for camera in whole.cameras)
     with open_capture(path, views=masked, scale=min(1.0, SUBJECT_SIDE_PX / largest)) as capture:
@@ -135,6 +148,10 @@ def _facts(
     quality: MatteQuality | None,
     subject: RigEvidence | None,
 ) -> Table:
+    from rich.table import Table
+
+    from fourd.recording.calibration.checks.verdict import describe_residuals, describe_verified
+
     sizes = Counter(f"{width} x {height}" for width, height in report.sizes.values())
     table = Table(title=Text(name), title_justify="left", show_header=False, box=None, pad_edge=False)
     table.add_column(style="bold", no_wrap=True)

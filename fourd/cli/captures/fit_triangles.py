@@ -4,23 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.table import Table
 
-from fourd.base.cameras import estimate_up
 from fourd.base.errors import UserError
 from fourd.base.files import remove_unfinished_file
 from fourd.base.progress import Terminal, Tracker
 from fourd.cli.options import CapturePath, HullAgreement, HullLeastViews, Views, option, split_names
 from fourd.cli.outputs import WRITES
-from fourd.reconstruction.meshes.triangle_fitting.export import check_format, write_mesh
-from fourd.reconstruction.meshes.triangle_fitting.frame import FittedFrame, fit_frame
 from fourd.reconstruction.meshes.triangle_fitting.settings import TriangleSettings
-from fourd.reconstruction.training.cameras.selection import DataSelection, open_run_views
-from fourd.recording.capture import open_capture
 from fourd.recording.capture.layout import refuse_symlinks
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from fourd.reconstruction.meshes.triangle_fitting.frame import FittedFrame
 
 DEFAULT_SECONDS = 120.0
 
@@ -62,6 +61,12 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Fit the triangles, write the mesh and print the scores of held-out views."""
+    from fourd.base.cameras import estimate_up
+    from fourd.reconstruction.meshes.triangle_fitting.export import check_format, write_mesh
+    from fourd.reconstruction.meshes.triangle_fitting.frame import fit_frame
+    from fourd.reconstruction.training.cameras.selection import DataSelection, open_run_views
+    from fourd.recording.capture import open_capture
+
     check_format(arguments.out)
     settings = _settings(arguments)
     with open_capture(arguments.capture) as capture:
@@ -107,11 +112,13 @@ def _settings(arguments: Arguments) -> TriangleSettings:
 
 
 def _table(arguments: Arguments, fitted: FittedFrame) -> Table:
+    from rich.table import Table
+
     table = Table(title=f"{arguments.out}: held-out views {arguments.test_views}, inside the matte's box")
     for column in ("", "PSNR dB", "SSIM"):
         table.add_column(column, justify="right" if column else "left")
     for label, evaluation in (("soft triangles", fitted.soft), ("opaque mesh", fitted.opaque)):
         if evaluation is not None and evaluation.box is not None:
             ssim = evaluation.box.ssim
-            table.add_row(label, f"{evaluation.box.psnr:.2f}", "null" if ssim is None else f"{ssim:.4f}")
+            table.add_row(label, f"{evaluation.box.psnr:.2f}", "not measured" if ssim is None else f"{ssim:.4f}")
     return table

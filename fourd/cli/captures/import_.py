@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.text import Text
@@ -16,23 +16,20 @@ from fourd.base.files import resolved
 from fourd.base.processes import locked_folder
 from fourd.base.progress import Terminal, Tracker
 from fourd.base.storage import local_path
+from fourd.cli.help import RARE
 from fourd.cli.options import FramesPerSecond, describe, option, parse_offsets
 from fourd.cli.outputs import READS, require_distinct
-from fourd.recording.boards import side_problem
-from fourd.recording.calibration.ambiguities import PrincipalPointMode
-from fourd.recording.calibration.chessboard import Board
-from fourd.recording.calibration.scale import Distance
 from fourd.recording.capture.frame_rate import check_rate
-from fourd.recording.importing.detection import FORMATS, pick_format
-from fourd.recording.importing.frame_geometry import CalibratedFrames
-from fourd.recording.importing.given_calibration import VIDEOS_FORMAT
-from fourd.recording.importing.importer import ImportOptions, import_source
-from fourd.recording.importing.pictures.moments import PairBy
-from fourd.recording.importing.time_offsets import SoundPosition, SyncMethod
+from fourd.recording.import_choices import FORMAT_NAMES, CalibratedFrames, PairBy, PrincipalPointMode, SyncMethod
+
+if TYPE_CHECKING:
+    from fourd.recording.calibration.chessboard import Board
+    from fourd.recording.calibration.scale import Distance
+    from fourd.recording.importing.importer import ImportOptions
+    from fourd.recording.importing.time_offsets import SoundPosition
 
 WORDS_HELP = (
-    f"FORMAT: {', '.join(each.name for each in FORMATS)}; detected if omitted. "
-    "SRC: input folder or file. OUT: capture folder to create."
+    f"FORMAT: {', '.join(FORMAT_NAMES)}; detected if omitted. SRC: input folder or file. OUT: capture folder to create."
 )
 
 OFFSET_HELP = (
@@ -68,7 +65,7 @@ class Arguments:
             tyro.conf.arg(metavar="[FORMAT] SRC OUT", help=WORDS_HELP, help_behavior_hint="(required)"),
         ]
     ]
-    copy: bool = False
+    copy: Annotated[bool, RARE] = False
     """Copy the files of SRC instead of linking to them."""
     unpack: bool = False
     """Write the video frames as JPEG images, which allow faster random access than videos."""
@@ -76,7 +73,7 @@ class Arguments:
         tyro.conf.UseAppendAction[tuple[str, ...]],
         tyro.conf.arg(metavar="CAM=FRAMES", help=OFFSET_HELP, help_behavior_hint="(repeatable)"),
     ] = field(default=())
-    sync: bool = False
+    sync: Annotated[bool, RARE] = False
     """Estimate the videos' time offsets and print them, but do not apply them. If the estimate uses motion, a plot is
     written to OUT/.fourd/sync.png."""
     apply_sync: bool = False
@@ -84,15 +81,17 @@ class Arguments:
     from motion are applied only if they also exceed 3 frames."""
     sync_by: Annotated[
         SyncMethod,
+        RARE,
         describe(
             "Source of estimated time offsets: the soundtracks, or the motion in the images.",
             "auto: sound if all videos have recorded the same sound, otherwise motion.",
         ),
     ] = "auto"
-    sound_at: Annotated[str, tyro.conf.arg(metavar="auto|none|centre|X,Y,Z", help=SOUND_HELP)] = "auto"
+    sound_at: Annotated[str, RARE, tyro.conf.arg(metavar="auto|none|centre|X,Y,Z", help=SOUND_HELP)] = "auto"
     fps: FramesPerSecond = None
     pair_by: Annotated[
         PairBy,
+        RARE,
         describe(
             "How images of different cameras are paired.",
             "name: by the frame names or numbers in the file names; frames that a camera lacks are left out. order: "
@@ -101,6 +100,7 @@ class Arguments:
     ] = "auto"
     resize: Annotated[
         str,
+        RARE,
         tyro.conf.arg(
             metavar="MODE",
             help="How images were resized after calibration: auto (detected), scaled, stretched, letterboxed, filled, "
@@ -109,6 +109,7 @@ class Arguments:
     ] = "auto"
     centres: Annotated[
         PrincipalPointMode,
+        RARE,
         describe(
             "How to treat principal points that another program may have mirrored when it rotated the calibration.",
             "auto: warn if principal points seem to be mirrored. as-given: do not check the principal points.",
@@ -120,6 +121,7 @@ class Arguments:
     """Calibrate the cameras from the images, and ignore any calibration in SRC."""
     calibrated_frames: Annotated[
         CalibratedFrames,
+        RARE,
         describe(
             "Which frames the calibration belongs to, if a video has rotation metadata. "
             "turned: frames that are turned upright. stored: frames as they are stored in the file.",
@@ -130,11 +132,15 @@ class Arguments:
         tyro.conf.UseAppendAction[tuple[str, ...]],
         tyro.conf.arg(metavar="CAM,CAM=METRES|FACTOR", help=SCALE_HELP, help_behavior_hint="(repeatable)"),
     ] = field(default=())
-    board: Annotated[str | None, option("COLSxROWSxSQUARE_M", "none", BOARD_HELP)] = None
+    board: Annotated[str | None, RARE, option("COLSxROWSxSQUARE_M", "none", BOARD_HELP)] = None
 
 
 def run(arguments: Arguments) -> None:
     """Import the source and print notes and warnings."""
+    from fourd.recording.importing.detection import pick_format
+    from fourd.recording.importing.given_calibration import VIDEOS_FORMAT
+    from fourd.recording.importing.importer import import_source
+
     if len(arguments.words) not in (2, 3):
         raise UserError(f"expected [FORMAT] SRC OUT, got {len(arguments.words)} arguments; see fourd import --help")
     *name, source, out = arguments.words
@@ -163,6 +169,8 @@ def run(arguments: Arguments) -> None:
 
 
 def _options(arguments: Arguments) -> ImportOptions:
+    from fourd.recording.importing.importer import ImportOptions
+
     distance, reduce = _scale(arguments.scale)
     return ImportOptions(
         copy=arguments.copy,
@@ -223,6 +231,8 @@ def _scale(words: Sequence[str]) -> tuple[Distance | None, float]:
 
 
 def _distance(text: str) -> Distance:
+    from fourd.recording.calibration.scale import Distance
+
     pair, _, metres = text.rpartition("=")
     names = [name.strip() for name in pair.split(",")]
     try:
@@ -235,6 +245,9 @@ def _distance(text: str) -> Distance:
 
 
 def _board(text: str) -> Board:
+    from fourd.recording.boards import side_problem
+    from fourd.recording.calibration.chessboard import Board
+
     parts = text.lower().split("x")
     try:
         columns, rows, square = int(parts[0]), int(parts[1]), float(parts[2])

@@ -5,26 +5,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from fourd.base.errors import UserError
 from fourd.base.processes import locked_folder
 from fourd.base.progress import Terminal
+from fourd.cli.help import RARE
 from fourd.cli.options import CapturePath, SelectionOptions, Workers, option, split_names, worker_count
 from fourd.cli.outputs import READS, require_distinct
-from fourd.pipeline.facts import MASKS, MaskFacts
-from fourd.pipeline.graphs.capture import stages_to_mattes
-from fourd.pipeline.runner import Runner
-from fourd.pipeline.stage import Context
-from fourd.pipeline.stages.mattes import MatteStageSettings
 from fourd.recording.capture.layout import DERIVED, MATTES, camera_names, refuse_symlinks, select_views
 from fourd.recording.capture.split import read_test_views
-from fourd.recording.matting.motion.paint import parse_paint
-from fourd.recording.matting.output import SHEET
-from fourd.recording.matting.plates import FOLDER as PLATES
-from fourd.recording.matting.sequence import MatteSettings, record_choice
+
+if TYPE_CHECKING:
+    from fourd.recording.matting.sequence import MatteSettings
 
 METHOD_HELP = (
     "motion: detect the subject by motion and multi-view consistency, without a pretrained network. "
@@ -42,18 +37,19 @@ class MatteOptions:
         Literal["motion", "chroma", "rvm", "onnx", "masks"] | None,
         option("{motion,chroma,rvm,onnx,masks}", "motion", METHOD_HELP),
     ] = None
-    screen: Annotated[str | None, option("R,G,B", "estimated per camera")] = None
+    screen: Annotated[str | None, RARE, option("R,G,B", "estimated per camera")] = None
     """Colour of the screen for --method chroma, 0 to 255 per channel."""
-    rvm: Annotated[Path | None, READS, option("FILE", "none")] = None
+    rvm: Annotated[Path | None, RARE, READS, option("FILE", "none")] = None
     """TorchScript file of Robust Video Matting, for --method rvm. TorchScript executes code: use only trusted files."""
 
-    onnx: Annotated[Path | None, READS, option("FILE", "none")] = None
+    onnx: Annotated[Path | None, RARE, READS, option("FILE", "none")] = None
     """ONNX file for --method onnx: Robust Video Matting, or a network with one image input and one mask output. The
     package fourd[onnx] must be installed."""
-    masks: Annotated[Path | None, READS, option("FOLDER", "none")] = None
+    masks: Annotated[Path | None, RARE, READS, option("FOLDER", "none")] = None
     """Folder with CAM/FRAME.png for --method masks. The masks must be aligned with the recorded images."""
     paint: Annotated[
         tuple[str, ...],
+        RARE,
         tyro.conf.arg(metavar="CAM:FRAME=FILE.png", help_behavior_hint="(repeatable)"),
         tyro.conf.UseAppendAction,
     ] = ()
@@ -67,6 +63,9 @@ class MatteOptions:
 
     def settings(self, seed: int) -> MatteSettings:
         """Settings of the matting stage. Raises UserError if an option belongs to a method that is not selected."""
+        from fourd.recording.matting.motion.paint import parse_paint
+        from fourd.recording.matting.sequence import MatteSettings
+
         chosen = self.method or "motion"
         for name, method in (("screen", "chroma"), ("rvm", "rvm"), ("onnx", "onnx"), ("masks", "masks")):
             if getattr(self, name) is not None and chosen != method:
@@ -99,6 +98,15 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Make missing mattes and plates, and print their paths."""
+    from fourd.pipeline.facts import MASKS, MaskFacts
+    from fourd.pipeline.graphs.capture import stages_to_mattes
+    from fourd.pipeline.runner import Runner
+    from fourd.pipeline.stage import Context
+    from fourd.pipeline.stages.mattes import MatteStageSettings
+    from fourd.recording.matting.output import SHEET
+    from fourd.recording.matting.plates import FOLDER as PLATES
+    from fourd.recording.matting.sequence import record_choice
+
     capture, selection = arguments.capture, arguments.selection
     settings = MatteStageSettings(selection.names, selection.frames, arguments.mattes.settings(arguments.seed))
     context = Context(Terminal(stderr=True), worker_count(arguments.workers))

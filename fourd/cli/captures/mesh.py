@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.table import Table
 
 from fourd.base.errors import UserError
 from fourd.base.processes import locked_folder
@@ -22,15 +21,12 @@ from fourd.cli.options import (
     split_names,
 )
 from fourd.cli.outputs import READS, WRITES
-from fourd.pipeline.runner import Runner
-from fourd.pipeline.stage import Context
-from fourd.pipeline.stages.mesh import MeshFiles, MeshStageSettings, mesh_stage, read_scores
 from fourd.reconstruction.meshes.fitting.settings import FitSettings
-from fourd.reconstruction.meshes.settings import MAX_TEXTURE_SIZE, MeshFormat, MeshSettings
-from fourd.reconstruction.meshes.surface.remeshing import remeshing_is_available
-from fourd.reconstruction.training.cameras.selection import DataSelection
-from fourd.reconstruction.training.run import open_run
+from fourd.reconstruction.meshes.settings import MeshFormat, MeshSettings
 from fourd.reconstruction.training.run_layout import CONFIG_NAME
+
+if TYPE_CHECKING:
+    from fourd.reconstruction.training.cameras.selection import DataSelection
 
 
 @dataclass(frozen=True)
@@ -73,6 +69,12 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Make the meshes and print the scores of held-out views."""
+    from rich.table import Table
+
+    from fourd.pipeline.runner import Runner
+    from fourd.pipeline.stage import Context
+    from fourd.pipeline.stages.mesh import MeshFiles, MeshStageSettings, mesh_stage, read_scores
+
     settings = _settings(arguments)
     capture, selection, adjusted = _source(arguments)
     console = Terminal(stderr=True)
@@ -86,11 +88,14 @@ def run(arguments: Arguments) -> None:
         table = Table(title=f"{arguments.out}: held-out views {', '.join(selection.test_views)}")
         for column in ("silhouette IoU", "PSNR dB inside the matte's box"):
             table.add_column(column, justify="right")
-        table.add_row(f"{scores.iou:.4f}", "null" if scores.psnr is None else f"{scores.psnr:.2f}")
+        table.add_row(f"{scores.iou:.4f}", "not measured" if scores.psnr is None else f"{scores.psnr:.2f}")
         Terminal().print(table)
 
 
 def _settings(arguments: Arguments) -> MeshSettings:
+    from fourd.reconstruction.meshes.settings import MAX_TEXTURE_SIZE
+    from fourd.reconstruction.meshes.surface.remeshing import remeshing_is_available
+
     for name, least in (("cells", 8), ("steps", 0), ("texture_size", 16)):
         value = getattr(arguments, name)
         if value < least:
@@ -116,6 +121,9 @@ def _settings(arguments: Arguments) -> MeshSettings:
 def _source(arguments: Arguments) -> tuple[Path, DataSelection, Path | None]:
     """Return the capture folder, the selected views and frames, and the run whose refined cameras replace the capture's
     cameras, or None."""
+    from fourd.reconstruction.training.cameras.selection import DataSelection
+    from fourd.reconstruction.training.run import open_run
+
     source, chosen = arguments.source, DataSelection()
     capture, run_folder = source, None
     if (source / CONFIG_NAME).is_file():

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -16,13 +16,13 @@ from fourd.base.progress import Terminal, Tracker
 from fourd.cli.options import option
 from fourd.cli.outputs import READS, WRITES
 from fourd.recording.capture.frame_rate import DEFAULT_FPS
-from fourd.recording.synth import SynthSettings, make_synthetic
-from fourd.recording.synth.board_videos import BoardSettings, make_board_videos
-from fourd.recording.synth.dome import DomeSettings, make_dome, suggested_test_views
-from fourd.recording.synth.folder import has_finished, read_settings
-from fourd.recording.synth.rig import FACTORS, USUAL, make_rig_capture, parse_factors
-from fourd.recording.synth.rig.generate import stored_settings
+from fourd.recording.synth.rig import FACTORS, USUAL
 from fourd.recording.synth.rig.settings import Codec
+
+if TYPE_CHECKING:
+    from fourd.recording.synth import SynthSettings
+    from fourd.recording.synth.board_videos import BoardSettings
+    from fourd.recording.synth.dome import DomeSettings
 
 FRAMES_HELP = "Number N of frames. The figure's motion repeats after N frames."
 CAMERAS_HELP = (
@@ -107,6 +107,8 @@ def _make(arguments: Arguments) -> None:
 
 
 def _make_board(arguments: Arguments) -> None:
+    from fourd.recording.synth.board_videos import BoardSettings, make_board_videos
+
     console = Terminal(stderr=True)
     videos = BoardSettings(*_numbers(arguments, BoardSettings(seed=arguments.seed)), arguments.seed)
     make_board_videos(arguments.out, videos, Tracker(console).track)
@@ -115,6 +117,8 @@ def _make_board(arguments: Arguments) -> None:
 
 
 def _make_dome(arguments: Arguments) -> None:
+    from fourd.recording.synth.dome import DomeSettings, make_dome, suggested_test_views
+
     console = Terminal(stderr=True)
     numbers = _numbers(arguments, DomeSettings(seed=arguments.seed))
     settings = DomeSettings(*numbers, arguments.seed, arguments.gloss, arguments.fps, arguments.masks)
@@ -127,6 +131,10 @@ def _make_dome(arguments: Arguments) -> None:
 
 
 def _make_rig(arguments: Arguments, words: tuple[str, ...]) -> None:
+    from fourd.recording.synth import SynthSettings
+    from fourd.recording.synth.rig import make_rig_capture, parse_factors
+    from fourd.recording.synth.rig.generate import stored_settings
+
     console = Terminal(stderr=True)
     settings = parse_factors(words, codec=arguments.codec or "h264", mbps=arguments.mbps, seed=arguments.seed)
     clean = arguments.from_ or _ring_settings(arguments)
@@ -145,11 +153,15 @@ def _rig_options(arguments: Arguments) -> list[tuple[str, object]]:
 
 
 def _ring_settings(arguments: Arguments) -> SynthSettings:
+    from fourd.recording.synth import SynthSettings
+
     numbers = _numbers(arguments, SynthSettings(seed=arguments.seed))
     return SynthSettings(*numbers, arguments.seed, arguments.gloss, arguments.fps)
 
 
 def _make_ring(arguments: Arguments) -> None:
+    from fourd.recording.synth import make_synthetic
+
     console = Terminal(stderr=True)
     settings = _ring_settings(arguments)
     if not _needs_making(arguments.out, asdict(settings), console):
@@ -177,6 +189,8 @@ def _numbers(arguments: Arguments, defaults: BoardSettings | DomeSettings | Synt
 
 def _needs_making(out: Path, settings: Mapping[str, object], console: Terminal) -> bool:
     """Return whether the capture does not exist with these settings. The state of an existing one is printed."""
+    from fourd.recording.synth.folder import has_finished, read_settings
+
     if has_finished(out, settings):
         console.print(f"{out}: already finished with these settings", soft_wrap=True)
         return False

@@ -5,31 +5,27 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
-import torch
-from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
 from fourd.base.errors import UserError
 from fourd.base.files import write_text_atomically
 from fourd.base.progress import Terminal, Tracker
 from fourd.cli.options import LpipsWeights, RunPath, option, split_names
 from fourd.cli.outputs import READS, WRITES_JSON
-from fourd.reconstruction.training.evaluation.camera_fitting import FittedView, fit_test_camera
-from fourd.reconstruction.training.evaluation.covisibility import covisible_masks, covisible_psnr
-from fourd.reconstruction.training.evaluation.metrics import psnr
-from fourd.reconstruction.training.evaluation.render import RenderedView
-from fourd.reconstruction.training.evaluation.scores import Evaluation, ViewScores, score_view, summarize
-from fourd.reconstruction.training.losses.lpips import load_lpips
-from fourd.reconstruction.training.run import TrainedRun
 from fourd.reconstruction.training.run_layout import segment_folder
-from fourd.reconstruction.training.segments.segmented_run import SegmentedRun, open_trained
-from fourd.recording.capture import Capture
-from fourd.recording.capture.decoding import decode_rgb
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from fourd.reconstruction.training.evaluation.camera_fitting import FittedView
+    from fourd.reconstruction.training.evaluation.render import RenderedView
+    from fourd.reconstruction.training.evaluation.scores import Evaluation
+    from fourd.reconstruction.training.run import TrainedRun
+    from fourd.reconstruction.training.segments.segmented_run import SegmentedRun
+    from fourd.recording.capture import Capture
 
 PLATES_HELP = (
     "Folder of images CAM.png that show the scene without the subject. These images are compared with the rendered "
@@ -61,12 +57,19 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Render every held-out image, compare it with the captured image, and print the mean scores."""
+    from rich.progress import track
+
+    from fourd.reconstruction.training.evaluation.covisibility import covisible_psnr
+    from fourd.reconstruction.training.evaluation.scores import ViewScores, score_view, summarize
+    from fourd.reconstruction.training.losses.lpips import load_lpips
+    from fourd.reconstruction.training.segments.segmented_run import open_trained
+
     console = Terminal(stderr=True)
     trained = open_trained(arguments.run)
     indices = _evaluated_views(trained, arguments.views)
     lpips = load_lpips(arguments.lpips_weights)
     if lpips is None:
-        console.print("LPIPS: no weights found, so the LPIPS scores are null; name the weights with --lpips-weights")
+        console.print("LPIPS: no weights found, so LPIPS is not measured; name the weights with --lpips-weights")
     pictures = []
     capture = trained.run.capture
     fitted = _fit_cameras(trained, indices, arguments, console)
@@ -102,19 +105,30 @@ def run(arguments: Arguments) -> None:
         line = f"{capture.names[index]}: fitted to its own images before evaluation: {note}{colours}"
         Terminal().print(line, soft_wrap=True)
     if arguments.json is not None:
-        content = {"run": str(arguments.run), "step": trained.step, **evaluation.to_json()}
-        if backgrounds:
-            content["background"] = backgrounds
-        if fitted:
-            content["fitted_to_own_pictures"] = {
-                capture.names[index]: {
-                    "degrees": view.degrees,
-                    "distance": view.distance,
-                    "colours": None if view.colours is None else view.colours.tolist(),
-                }
-                for index, view in fitted.items()
+        _write_json(arguments.json, arguments.run, trained, evaluation, backgrounds, fitted)
+
+
+def _write_json(
+    path: Path,
+    run_folder: Path,
+    trained: TrainedRun | SegmentedRun,
+    evaluation: Evaluation,
+    backgrounds: dict[str, float],
+    fitted: dict[int, FittedView],
+) -> None:
+    content = {"run": str(run_folder), "step": trained.step, **evaluation.to_json()}
+    if backgrounds:
+        content["background"] = backgrounds
+    if fitted:
+        content["fitted_to_own_pictures"] = {
+            trained.run.capture.names[index]: {
+                "degrees": view.degrees,
+                "distance": view.distance,
+                "colours": None if view.colours is None else view.colours.tolist(),
             }
-        write_text_atomically(arguments.json, json.dumps(content, indent=1) + "\n")
+            for index, view in fitted.items()
+        }
+    write_text_atomically(path, json.dumps(content, indent=1) + "\n")
 
 
 def _fit_cameras(
@@ -124,6 +138,12 @@ def _fit_cameras(
 
     Returns the fitted cameras, keyed by camera index. The result is empty without --refine-test.
     """
+
+    from rich.progress import track
+
+    from fourd.reconstruction.training.evaluation.camera_fitting import fit_test_camera
+    from fourd.reconstruction.training.segments.segmented_run import SegmentedRun
+
     if arguments.refine_test_colours and not arguments.refine_test:
         raise UserError(
             "--refine-test-colours: expected also --refine-test, got only --refine-test-colours; add --refine-test"
@@ -149,6 +169,9 @@ def _covisible_masks(
 ) -> dict[int, NDArray[np.bool_]]:
     """Return, for each evaluated camera of a scene with background, the mask (H, W) of the pixels at which the surface
     of the background is visible in a training view. For a scene without background, the result is empty."""
+    from fourd.reconstruction.training.evaluation.covisibility import covisible_masks
+    from fourd.reconstruction.training.segments.segmented_run import SegmentedRun
+
     if isinstance(trained, SegmentedRun) or trained.renderer.background is None:
         return {}
     cameras = {i: fitted[i].camera if i in fitted else trained.run.capture.cameras[i] for i in indices}
@@ -159,6 +182,8 @@ def _display_colours(
     trained: TrainedRun | SegmentedRun, index: int, fitted: dict[int, FittedView], picture: RenderedView
 ) -> NDArray[np.float32]:
     """Apply the colour correction of camera ``index`` to a rendered image, if the camera has one. Returns (H, W, 3)."""
+    import torch
+
     if index in fitted and fitted[index].colours is not None:
         return fitted[index].recolour(picture.rgb, picture.alpha).clip(0, 1)
     rgb, alpha = torch.from_numpy(picture.rgb), torch.from_numpy(picture.alpha)
@@ -168,6 +193,8 @@ def _display_colours(
 def _matte(capture: Capture, index: int, frame: int, whole: bool) -> NDArray[np.uint8]:
     """Return the matte (H, W) of an evaluated view. In a scene with background, a camera without mattes has an
     empty matte, so that only the whole image is scored."""
+    import numpy as np
+
     if index in capture.masked or not whole:
         return capture.mask(index, frame)
     return np.zeros((capture.cameras[index].height, capture.cameras[index].width), np.uint8)
@@ -189,6 +216,8 @@ def _matte_notes(capture: Capture, indices: list[int]) -> list[str]:
 
 def _truth(picture: NDArray[np.uint8], matte: NDArray[np.uint8] | None) -> NDArray[np.float32]:
     """Convert an image (H, W, 3) to [0, 1]. If a matte (H, W) is given, the background becomes black."""
+    import numpy as np
+
     share = 1.0 if matte is None else matte[..., None] / 255
     return (picture * (share / 255)).astype(np.float32)
 
@@ -198,6 +227,10 @@ def _backgrounds(
 ) -> dict[str, float]:
     """Compare the rendered background of each camera with the image of the same camera in ``folder``. Returns the PSNR
     in dB, keyed by camera name."""
+    from fourd.reconstruction.training.evaluation.metrics import psnr
+    from fourd.reconstruction.training.segments.segmented_run import SegmentedRun
+    from fourd.recording.capture.decoding import decode_rgb
+
     if isinstance(trained, SegmentedRun) or trained.renderer.background is None:
         raise UserError("--plates: expected a run with --scene full, got a run with --scene object; leave --plates out")
     layers = trained.run.config.train.layers
@@ -235,6 +268,9 @@ def _evaluated_views(trained: TrainedRun | SegmentedRun, views: str | None) -> l
 
 
 def _print(evaluation: Evaluation, trained: TrainedRun | SegmentedRun, backgrounds: dict[str, float]) -> None:
+    import numpy as np
+    from rich.table import Table
+
     table = Table(title=f"{trained.run.folder} at step {trained.step}: {len(evaluation.pictures)} images")
     for column in ("", "PSNR dB", "SSIM", "LPIPS"):
         table.add_column(column, justify="right" if column else "left")
@@ -249,4 +285,4 @@ def _print(evaluation: Evaluation, trained: TrainedRun | SegmentedRun, backgroun
 
 
 def _shown(value: float | None) -> str:
-    return "null" if value is None else f"{value:.4f}"
+    return "not measured" if value is None else f"{value:.4f}"

@@ -6,7 +6,7 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
@@ -18,13 +18,12 @@ from fourd.base.storage import local_output, local_path
 from fourd.cli.locations import OutLocation, transfer_progress
 from fourd.cli.options import TIER_HELP, Frames, MaxMbps, check_mbps, check_rendering, describe, option
 from fourd.cli.outputs import READS
-from fourd.reconstruction.training.points.scratch import Scratch
-from fourd.scene.exporting.export import ExportSettings, Format, export_scene
+from fourd.scene.exporting.format import Format
 from fourd.scene.files.encoding import Tier
-from fourd.scene.packing.report import PackSettings
-from fourd.scene.playable import PlayableScene, select_frames
-from fourd.scene.rendering import Scene, open_scene
 from fourd.scene.scene import BAKED_LAYERS
+
+if TYPE_CHECKING:
+    from fourd.scene.rendering import Scene
 
 SCRATCH = ".export"
 """Name of a temporary folder beside the output. With --to, a run is first baked into this folder, and the baked scene
@@ -89,8 +88,8 @@ def run(arguments: Arguments) -> None:
     require_suffix(arguments.out, (".4dv",), "a scene")
     with local_output(arguments.out, transfer_progress()) as out:
         _bake(arguments, out, console)
-        size = out.stat().st_size / 2**20
-    command = command_line("fourd", "render", arguments.out, "--path", "orbit", "--out", "orbit.mp4")
+        size = out.stat().st_size / 1e6
+    command = command_line("fourd", "view", arguments.out)
     console.print(f"{arguments.out}: {size:.1f} MB; next: {command}", soft_wrap=True)
 
 
@@ -98,6 +97,7 @@ def _bake(arguments: Arguments, out: Path, console: Console) -> None:
     from fourd.pipeline.runner import Runner
     from fourd.pipeline.stage import Context
     from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
+    from fourd.scene.packing.report import PackSettings
 
     packed = arguments.tier is not None or arguments.max_mbps is not None
     pack = PackSettings(arguments.tier or "full", arguments.max_mbps) if packed else None
@@ -106,6 +106,9 @@ def _bake(arguments: Arguments, out: Path, console: Console) -> None:
 
 
 def _export(arguments: Arguments, kind: Format, console: Console) -> None:
+    from fourd.reconstruction.training.points.scratch import Scratch
+    from fourd.scene.rendering import open_scene
+
     if arguments.tier is not None or arguments.max_mbps is not None:
         raise UserError("--to: expected no --tier and no --max-mbps, got at least one; they are for .4dv files")
     if not 0 <= arguments.degree <= 3:
@@ -124,6 +127,9 @@ def _export(arguments: Arguments, kind: Format, console: Console) -> None:
 
 
 def _write(arguments: Arguments, out: Path, kind: Format, scene: Scene, console: Console) -> None:
+    from fourd.scene.exporting.export import ExportSettings, export_scene
+    from fourd.scene.playable import PlayableScene, select_frames
+
     frames = select_frames(PlayableScene(scene), arguments.frames)
     settings = ExportSettings(kind, frames, arguments.degree, arguments.keep_axes)
     report = export_scene(scene, out, settings, Tracker(console).track)

@@ -15,22 +15,16 @@ from fourd.base.files import resolved
 from fourd.base.progress import Terminal
 from fourd.base.storage import Location
 from fourd.cli.captures.matte import MatteOptions
+from fourd.cli.help import RARE
 from fourd.cli.locations import PATH_OR_URL, OutLocation
 from fourd.cli.options import TIER_HELP, FramesPerSecond, Workers, describe, option, worker_count
 from fourd.cli.outputs import READS, WRITES, WRITES_WHOLE_FOLDER
-from fourd.cli.scenes.web import write_page
-from fourd.cli.training_options import TrainingOptions, print_summary
-from fourd.pipeline.cluster import join_cluster
-from fourd.pipeline.make import make_scene
-from fourd.pipeline.stage import Context
-from fourd.reconstruction.training.losses.lpips import load_lpips
+from fourd.cli.training_options import TrainingOptions
 from fourd.recording.capture.frame_rate import check_rate
-from fourd.recording.importing.importer import ImportOptions
-from fourd.rendering.ops.gpu import choose_device
 from fourd.scene.files.encoding import Tier
-from fourd.scene.packing.report import PackSettings
 
 DEFAULT_SECONDS = 1800.0
+RAY_DEFAULT = "none; all stages run in this process"
 RAY_HELP = (
     "Run the stages as tasks of a Ray cluster, and train the segments of --segment at the same time. auto: use the "
     "cluster that runs on this machine, or start one. All nodes need the same paths on shared storage, or --work URL. "
@@ -69,9 +63,10 @@ class Arguments:
     training: TrainingOptions
     mattes: MatteOptions
     calibration: Annotated[Path | None, READS, option("FOLDER", "none", CALIBRATION_HELP)] = None
-    fps: FramesPerSecond = None
+    fps: Annotated[FramesPerSecond, RARE] = None
     sync: Annotated[
         Literal["auto", "none"],
+        RARE,
         describe(
             "Time offsets between videos.",
             "auto: estimate them from sound, or else from motion, and apply those of high confidence. none: the videos "
@@ -80,22 +75,33 @@ class Arguments:
     ] = "auto"
     tier: Annotated[
         Literal[Tier, "none"],
+        RARE,
         describe("Compression of the scene file.", *TIER_HELP, "none: plain arrays, several times larger."),
     ] = "full"
     web: Annotated[Path | None, WRITES_WHOLE_FOLDER, option("FOLDER", "none", WEB_HELP)] = None
-    workers: Workers = None
-    work: Annotated[Location | None, WRITES, PATH_OR_URL, option("FOLDER|URL", WORK_DEFAULT, WORK_HELP)] = None
-    force: bool = False
+    workers: Annotated[Workers, RARE] = None
+    work: Annotated[Location | None, RARE, WRITES, PATH_OR_URL, option("FOLDER|URL", WORK_DEFAULT, WORK_HELP)] = None
+    force: Annotated[bool, RARE] = False
     """Delete a trained run if this command has other settings. By default, the run is kept as scene.work/run.1,
     run.2 and so on, and used again when a later command has its settings. With --work URL, a trained run is only
     replaced with --force."""
-    ray: Annotated[str | None, option("{auto,HOST:PORT}", "none; all stages run in this process", RAY_HELP)] = None
-    ray_cores: int = 1
+    ray: Annotated[str | None, RARE, option("{auto,HOST:PORT}", RAY_DEFAULT, RAY_HELP)] = None
+    ray_cores: Annotated[int, RARE] = 1
     """With --ray: number of cores that train each segment. All other stages use all cores of one node."""
 
 
 def run(arguments: Arguments) -> None:
     """Run all stages that are not up to date."""
+    from fourd.cli.scenes.web import write_page
+    from fourd.cli.training_options import print_summary
+    from fourd.pipeline.cluster import join_cluster
+    from fourd.pipeline.make import make_scene
+    from fourd.pipeline.stage import Context
+    from fourd.reconstruction.training.losses.lpips import load_lpips
+    from fourd.recording.importing.importer import ImportOptions
+    from fourd.rendering.ops.gpu import choose_device
+    from fourd.scene.packing.report import PackSettings
+
     # Progress is printed to stdout, because stderr is reserved for the one-line error message.
     console = Terminal()
     options = arguments.training
@@ -132,5 +138,5 @@ def run(arguments: Arguments) -> None:
     print_summary(summary, console)
     if arguments.web is not None and isinstance(arguments.out, Path):
         write_page(arguments.out, arguments.web, console)
-    command = command_line("fourd", "render", arguments.out, "--path", "orbit", "--out", "orbit.mp4")
+    command = command_line("fourd", "view", arguments.out)
     console.print(f"{arguments.out}: written; next: {command}", soft_wrap=True)

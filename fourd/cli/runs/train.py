@@ -5,34 +5,26 @@ from __future__ import annotations
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from fourd.base.configs import to_yaml
 from fourd.base.errors import UserError, command_line
 from fourd.base.processes import locked_folder
 from fourd.base.progress import Terminal
 from fourd.base.storage import StorageUrl
 from fourd.base.version import __version__
+from fourd.cli.help import RARE
 from fourd.cli.locations import CaptureLocation
 from fourd.cli.options import Workers, worker_count
 from fourd.cli.outputs import WRITES
-from fourd.cli.training_options import TrainingOptions, print_summary
-from fourd.pipeline.fetch import fetch_stage, fetched_path
-from fourd.pipeline.graphs.run import RunRequest, stages_to_resume, stages_to_run
-from fourd.pipeline.make import require_new_run
-from fourd.pipeline.report.summary import summarize_run
-from fourd.pipeline.runner import AnyStage, Runner
-from fourd.pipeline.stage import Context
-from fourd.pipeline.stages.train import TrainFiles, require_divisible
-from fourd.reconstruction.training.cameras.selection import with_test_split
-from fourd.reconstruction.training.config import TrainConfig
-from fourd.reconstruction.training.distributed.process_group import ProcessGroup, join_process_group
-from fourd.reconstruction.training.losses.lpips import load_lpips
-from fourd.reconstruction.training.run import open_run, remove_leftovers
+from fourd.cli.training_options import TrainingOptions
 from fourd.reconstruction.training.run_layout import SOURCE
-from fourd.rendering.ops.gpu import choose_device
+
+if TYPE_CHECKING:
+    from fourd.pipeline.runner import AnyStage
+    from fourd.reconstruction.training.config import TrainConfig
+    from fourd.reconstruction.training.distributed.process_group import ProcessGroup
 
 
 @dataclass(frozen=True)
@@ -50,11 +42,14 @@ class Arguments:
     resume: bool = False
     """Continue training from the newest checkpoint. Of the run's options, only the budget (--max-steps, --max-seconds)
     may be changed."""
-    workers: Workers = None
+    workers: Annotated[Workers, RARE] = None
 
 
 def run(arguments: Arguments) -> None:
     """Run the stages that training needs, then train."""
+    from fourd.reconstruction.training.distributed.process_group import join_process_group
+    from fourd.reconstruction.training.run import remove_leftovers
+
     # The first process (rank 0) prepares the run. The other processes only take part in training.
     with join_process_group() as group, locked_folder(arguments.out) if group.is_first else nullcontext():
         if group.is_first:
@@ -64,6 +59,20 @@ def run(arguments: Arguments) -> None:
 
 def _run_stages(arguments: Arguments, group: ProcessGroup) -> None:
     # Progress is printed to stdout, because stderr is reserved for the one-line error message.
+    from fourd.base.configs import to_yaml
+    from fourd.cli.training_options import print_summary
+    from fourd.pipeline.fetch import fetch_stage, fetched_path
+    from fourd.pipeline.graphs.run import RunRequest, stages_to_resume, stages_to_run
+    from fourd.pipeline.make import require_new_run
+    from fourd.pipeline.report.summary import summarize_run
+    from fourd.pipeline.runner import Runner
+    from fourd.pipeline.stage import Context
+    from fourd.pipeline.stages.train import TrainFiles, require_divisible
+    from fourd.reconstruction.training.cameras.selection import with_test_split
+    from fourd.reconstruction.training.losses.lpips import load_lpips
+    from fourd.reconstruction.training.run import open_run
+    from fourd.rendering.ops.gpu import choose_device
+
     console = Terminal(quiet=not group.is_first)
     options = arguments.training
     context = Context(console, worker_count(arguments.workers), group, options.device)
@@ -100,7 +109,7 @@ def _run_stages(arguments: Arguments, group: ProcessGroup) -> None:
     Runner(context).run(stages)
     if group.is_first:
         print_summary(summarize_run(arguments.out), console)
-    console.print(f"{arguments.out}: trained; next: {command_line('fourd', 'eval', arguments.out)}", soft_wrap=True)
+    console.print(f"{arguments.out}: trained; next: {command_line('fourd', 'view', arguments.out)}", soft_wrap=True)
 
 
 def _resumed_config(options: TrainingOptions, config: TrainConfig) -> TrainConfig:
@@ -108,6 +117,9 @@ def _resumed_config(options: TrainingOptions, config: TrainConfig) -> TrainConfi
 
     Without a budget option, the config keeps its budget.
     """
+
+    from fourd.base.configs import to_yaml
+
     overlaid = options.overlay(config)
     if options.max_steps is not None or options.max_seconds is not None:
         overlaid = replace(overlaid, max_steps=options.max_steps, max_seconds=options.max_seconds)

@@ -6,25 +6,19 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from fourd.base.errors import UserError
 from fourd.base.files import write_text_atomically
 from fourd.base.progress import Terminal
-from fourd.benchmarks.cases import cases
-from fourd.benchmarks.gpu_cases import gpu_cases
-from fourd.benchmarks.machine import this_machine
-from fourd.benchmarks.peers import missing_peers
-from fourd.benchmarks.report import Row, markdown, table, to_json
-from fourd.benchmarks.timing import Clock
-from fourd.benchmarks.training_profile import profile_training, tables
-from fourd.benchmarks.training_step import synthetic_run
 from fourd.cli.options import option
 from fourd.cli.outputs import READS, WRITES_JSON, Writes
-from fourd.reconstruction.training.run import open_run
-from fourd.rendering.ops.gpu import DeviceName, choose_device
+from fourd.rendering.ops.device_name import DeviceName
+
+if TYPE_CHECKING:
+    from fourd.benchmarks.report import Row
 
 
 @dataclass(frozen=True)
@@ -52,6 +46,13 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Measure the run time of all cases, and print the table."""
+    from fourd.benchmarks.cases import cases
+    from fourd.benchmarks.gpu_cases import gpu_cases
+    from fourd.benchmarks.machine import this_machine
+    from fourd.benchmarks.peers import missing_peers
+    from fourd.benchmarks.report import Row, markdown, table, to_json
+    from fourd.benchmarks.timing import Clock
+
     console = Terminal()
     machine = this_machine()
     if arguments.run is not None and not arguments.training:
@@ -76,6 +77,11 @@ def run(arguments: Arguments) -> None:
 
 
 def _profile(arguments: Arguments, console: Terminal) -> None:
+    from fourd.benchmarks.training_profile import profile_training, tables
+    from fourd.benchmarks.training_step import synthetic_run
+    from fourd.reconstruction.training.run import open_run
+    from fourd.rendering.ops.gpu import choose_device
+
     with ExitStack() as resources:
         run = synthetic_run(resources) if arguments.run is None else open_run(arguments.run)
         config = replace(run.config.train, max_steps=run.config.train.max_steps or 1)

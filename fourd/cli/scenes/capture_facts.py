@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeGuard
 
+from fourd.base.limits import open_regular
+from fourd.base.progress import format_minutes
 from fourd.recording.capture.split import read_test_views
 
 if TYPE_CHECKING:
     from fourd.recording.capture import Capture
+
+_MOST_VALUE = 1e300
 
 
 def split_and_masks(path: Path, capture: Capture) -> list[tuple[str, str]]:
@@ -29,3 +35,31 @@ def quality_lines(path: Path) -> Iterable[str]:
 
     summary = summarize_run(path)
     return [*summary.lines, *(f"warning: {line}" for line in summary.warnings)] or ["no held-out score yet"]
+
+
+def last_metrics(path: Path) -> list[str]:
+    """Describe the last complete line of metrics.jsonl: in words, or with its first eight numbers if it does not have
+    the numbers of a training step.
+
+    Returns a list with one line of text, or an empty list if there is no complete line.
+    """
+    if not path.is_file():
+        return []
+    with open_regular(path) as stream:
+        stream.seek(max(0, path.stat().st_size - (64 << 10)))
+        lines = stream.read().splitlines()
+    for line in reversed(lines):
+        values = None
+        with suppress(ValueError, RecursionError):
+            values = json.loads(line)
+        if isinstance(values, dict):
+            quality, step, seconds = (values.get(name) for name in ("psnr_smooth", "step", "seconds"))
+            if _is_number(quality) and _is_number(step) and _is_number(seconds):
+                return [f"step {step:g} after {format_minutes(seconds)}: {quality:.1f} dB on training views"]
+            shown = [f"{key[:40]} {value:g}" for key, value in values.items() if _is_number(value)]
+            return [", ".join(shown[:8])]
+    return []
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and abs(value) < _MOST_VALUE

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -25,8 +24,17 @@ from fourd.base.storage import Location, StorageUrl
 from fourd.cli.locations import PATH_OR_URL, scene_or_copy
 from fourd.cli.options import option
 from fourd.cli.outputs import READS
-from fourd.cli.scenes.capture_facts import quality_lines, split_and_masks
-from fourd.cli.scenes.info_values import bytes_text, names_text, numbers_text, sizes_text, span_text, vector_text
+from fourd.cli.scenes.capture_facts import last_metrics, quality_lines, split_and_masks
+from fourd.cli.scenes.info_folders import SITE_SCENE, describe_parts, folder_bytes, is_site, is_work_folder
+from fourd.cli.scenes.info_values import (
+    bytes_text,
+    count_text,
+    names_text,
+    numbers_text,
+    sizes_text,
+    span_text,
+    vector_text,
+)
 from fourd.cli.scenes.system import describe_system
 from fourd.reconstruction.training.run_layout import CHECKPOINTS, checkpoint_files, segment_folders
 from fourd.recording.capture.frame_rate import UNKNOWN_RATE, format_rate
@@ -38,8 +46,10 @@ if TYPE_CHECKING:
 Rows = list[tuple[str, str]]
 
 _MOST_HEADER = 100 << 20
-_MOST_VALUE = 1e300
 CAPTURE_TITLE = "a multi-view capture"
+SITE_TITLE = "a web page that plays a scene"
+NEXT = {CAPTURE_TITLE: "check", SITE_TITLE: "serve"}
+"""The command that may come next, for some kinds of folders."""
 _MOST_TEXT = 1000
 """Maximum number of characters of a text from a file that are shown."""
 
@@ -73,9 +83,10 @@ def _describe_path(source: Location) -> None:
     # A file in an object store such as S3 is read from a local copy. Show the file's URL, because the user does not
     # know the path of the copy.
     _print_table(f"{location}: {title}", [(name, value.replace(str(path), location)) for name, value in rows])
-    if title == CAPTURE_TITLE:
+    command = NEXT.get(title)
+    if command is not None:
         # Not in the table, whose lines are broken at the width of the terminal.
-        Terminal().print(f"next: {command_line('fourd', 'check', source)}", soft_wrap=True)
+        Terminal().print(f"next: {command_line('fourd', command, source)}", soft_wrap=True)
 
 
 def _print_table(heading: str, rows: Rows) -> None:
@@ -120,11 +131,29 @@ def _describe_folder(path: Path) -> tuple[str, Rows]:
     if any((path / sign).exists() for sign in signs):
         return CAPTURE_TITLE, _capture(path)
     videos = [path / name for name in list_folder(path) if Path(name).suffix.lower() in VIDEO_SUFFIXES]
+    if is_site(path):
+        return SITE_TITLE, [*_scene(path / SITE_SCENE), ("size of the page", bytes_text(folder_bytes(path)))]
+    if is_work_folder(path):
+        return "the work folder of fourd make", describe_parts(path, _title)
+    if any(path.glob("*.4dv")):
+        parts = describe_parts(path, _title)
+        return f"a folder with {count_text(len(parts), 'thing')} that fourd knows", parts
     if videos:
         return "a folder of videos", [(file.name, "; ".join(value for _, value in _video(file))) for file in videos]
     if any(file.suffix.lower() in (".ply", ".splat") for file in path.iterdir()):
         return "points or Gaussian splats, one file for each frame", _splats(path)
+    parts = describe_parts(path, _title)
+    if parts:
+        return f"a folder with {count_text(len(parts), 'thing')} that fourd knows", parts
     raise _unknown(path)
+
+
+def _title(path: Path) -> str | None:
+    """Return what a file or folder is, without its content, or None if fourd does not know it."""
+    try:
+        return _describe(path)[0]
+    except UserError:
+        return None
 
 
 def _unknown(path: Path) -> UserError:
@@ -288,14 +317,10 @@ def _run(path: Path) -> Rows:
         trained = sum(1 for segment in segments if checkpoint_files(segment / CHECKPOINTS))
         rows[1] = ("segments", f"{len(segments)}, of which {trained} have a checkpoint")
     rows += [("quality", line) for line in quality_lines(path)]
-    rows += [("last measured", line) for line in _last_metrics(path / "metrics.jsonl")]
+    rows += [("last measured", line) for line in last_metrics(path / "metrics.jsonl")]
     rows.append(("first points", f"{sum(1 for _ in path.glob('hull/*.ply'))} frames"))
-    rows.append(("size", bytes_text(sum(file.stat().st_size for file in path.rglob("*") if file.is_file()))))
+    rows.append(("size", bytes_text(folder_bytes(path))))
     return rows
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and abs(value) < _MOST_VALUE
 
 
 def _entry(node: yaml.Node | None, key: str) -> yaml.Node | None:
@@ -311,26 +336,6 @@ def _text(node: yaml.Node | None) -> str:
     if not isinstance(node, yaml.ScalarNode) or node.value in ("null", "~"):
         return ""
     return node.value if len(node.value) <= _MOST_TEXT else f"{node.value[:_MOST_TEXT]}..."
-
-
-def _last_metrics(path: Path) -> list[str]:
-    """Format the first eight numbers of the last complete line of metrics.jsonl.
-
-    Returns a list with one line of text, or an empty list if there is no complete line.
-    """
-    if not path.is_file():
-        return []
-    with open_regular(path) as stream:
-        stream.seek(max(0, path.stat().st_size - (64 << 10)))
-        lines = stream.read().splitlines()
-    for line in reversed(lines):
-        values = None
-        with suppress(ValueError, RecursionError):
-            values = json.loads(line)
-        if isinstance(values, dict):
-            shown = [f"{key[:40]} {value:g}" for key, value in values.items() if _is_number(value)]
-            return [", ".join(shown[:8])]
-    return []
 
 
 def _capture(path: Path) -> Rows:

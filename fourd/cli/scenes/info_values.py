@@ -18,6 +18,11 @@ def bytes_text(count: float) -> str:
     return f"{count:.3g} TB"
 
 
+def count_text(count: int, noun: str) -> str:
+    """Return a number of things, such as "1 image" or "2 images"."""
+    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+
+
 def span_text(counts: tuple[int, ...]) -> str:
     """Return the smallest and the largest of some counts."""
     if not counts:

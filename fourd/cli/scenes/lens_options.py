@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fourd.base.cameras import Camera, estimate_up
 from fourd.base.errors import UserError
+from fourd.cli.help import RARE
 from fourd.cli.options import option
 from fourd.scene.lenses.inserts import GlassBall, Insert, MirrorFloor
 from fourd.scene.lenses.lens import Fisheye, Lens, Panorama, Pinhole, ThinLens
@@ -28,17 +29,17 @@ class LensOptions:
     ] = None
     """Trace rays through a lens: pinhole, fisheye, panorama or thin-lens. A panorama covers 360 x 180 degrees around
     the camera and needs a --size with twice as many columns as rows. A thin lens has depth of field."""
-    fov: float = 180.0
+    fov: Annotated[float, RARE] = 180.0
     """Field of view of a fisheye image in degrees, up to 360."""
-    aperture: Annotated[float | None, option("FLOAT", "5% of the distance to the focus")] = None
+    aperture: Annotated[float | None, RARE, option("FLOAT", "5% of the distance to the focus")] = None
     """Diameter of the thin lens in world units. A larger lens blurs more."""
-    focus_distance: Annotated[float | None, option("FLOAT", "the distance to the scene's focus")] = None
+    focus_distance: Annotated[float | None, RARE, option("FLOAT", "the distance to the scene's focus")] = None
     """Depth at which the thin lens is in focus, in world units."""
-    lens_samples: Annotated[int | None, option("INT", "2; 32 for thin-lens")] = None
+    lens_samples: Annotated[int | None, RARE, option("INT", "2; 32 for thin-lens")] = None
     """Number of rays per pixel along each image axis, 1 to 64. For thin-lens, the total number of rays per pixel."""
-    mirror_floor: bool = False
+    mirror_floor: Annotated[bool, RARE] = False
     """Add a round mirror under the subject."""
-    glass_ball: Annotated[str | None, option("auto|X,Y,Z,R", "none")] = None
+    glass_ball: Annotated[str | None, RARE, option("auto|X,Y,Z,R", "none")] = None
     """Add a glass ball to the scene, with its centre and radius in world units. auto places the ball on the floor
     beside the subject.
     """

@@ -12,7 +12,6 @@ from fourd.base.storage import local_copy, local_output
 from fourd.cli.locations import OutLocation, SceneLocation, transfer_progress
 from fourd.cli.options import TIER_HELP, MaxMbps, check_mbps, describe
 from fourd.scene.files.encoding import Tier
-from fourd.scene.packing.report import PackSettings, pack_and_report
 
 
 @dataclass(frozen=True)
@@ -29,6 +28,8 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Pack the scene and print the sizes of its parts."""
+    from fourd.scene.packing.report import PackSettings, pack_and_report
+
     check_mbps(arguments.max_mbps)
     require_suffix(arguments.out, (".4dv",), "a scene")
     console = Terminal(stderr=True)

@@ -6,21 +6,26 @@ import platform
 import tempfile
 import threading
 import webbrowser
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import tyro
 
 from fourd.base.errors import UserError
-from fourd.base.progress import Terminal
+from fourd.base.progress import Log, Terminal, console_log
 from fourd.cli.options import TIER_HELP, PageStyles, describe, option
 from fourd.cli.outputs import READS
 from fourd.scene.files.encoding import Tier
 
 if TYPE_CHECKING:
     from fourd.viewer.publish.server import SiteServer
+
+PORTS_TRIED = 10
+"""Number of successive ports that are tried if the ports are in use."""
+Server = TypeVar("Server", bound="SiteServer")
 
 
 @dataclass(frozen=True)
@@ -31,7 +36,7 @@ class Arguments:
     source: tyro.conf.Positional[Annotated[Path, READS, tyro.conf.arg(metavar="SCENE|RUN|SITE")]]
     """A .4dv file, a run, or a folder that fourd web has written."""
     port: int = 8000
-    """Port to listen on. 0 selects a free port."""
+    """Port to listen on. If another program uses it, the next free port is taken. 0 selects any free port."""
     host: str = "127.0.0.1"
     """Address to listen on. Use 0.0.0.0 to let other machines connect; the page of a run then needs a token."""
     token: Annotated[
@@ -82,7 +87,9 @@ def _open_scene(arguments: Arguments, stack: ExitStack) -> SiteServer:
     styles = load_styles(arguments.style)
     folder = source if is_site(source) else _temporary_folder(stack)
     # The port is checked before the scene is converted, because the conversion takes time.
-    server = stack.enter_context(SiteServer(folder, arguments.host, arguments.port))
+    server = stack.enter_context(
+        listen(lambda port: SiteServer(folder, arguments.host, port), arguments.port, console_log(console))
+    )
     if folder != source:
         site = LiveSite(source, folder, arguments.tier, console, styles)
         stack.callback(site.stop)
@@ -102,7 +109,9 @@ def _open_run(arguments: Arguments, stack: ExitStack) -> SiteServer:
     access = Access(arguments.host, choose_token(arguments.token, arguments.host))
     styles = load_styles(arguments.style)
     folder = _temporary_folder(stack)
-    server = stack.enter_context(RunServer(folder, access, arguments.port))
+    server = stack.enter_context(
+        listen(lambda port: RunServer(folder, access, port), arguments.port, console_log(console))
+    )
     site = server.site = RunSite(arguments.source, folder, arguments.tier, console, styles)
     stack.callback(site.stop)
     threading.Thread(target=site.watch, name="scene of the run", daemon=True).start()
@@ -111,6 +120,20 @@ def _open_run(arguments: Arguments, stack: ExitStack) -> SiteServer:
         name = platform.node() if arguments.host in ("0.0.0.0", "") else arguments.host
         console.print(f"from other machines: {server.page_at(name)}", soft_wrap=True, highlight=False)
     return server
+
+
+def listen(make_server: Callable[[int], Server], port: int, log: Log) -> Server:
+    """Return a server on the first port, from ``port`` on, that no other program uses. At most PORTS_TRIED ports are
+    tried. Another port than ``port`` is reported."""
+    from fourd.viewer.publish.server import PortInUse
+
+    for tried in range(port, min(port + PORTS_TRIED, 65536)):
+        with suppress(PortInUse):
+            server = make_server(tried)
+            if tried != port:
+                log(f"port {port} is in use, so this is port {tried}")
+            return server
+    return make_server(port)
 
 
 def _announce(arguments: Arguments, page: str, console: Terminal) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -17,9 +17,11 @@ from fourd.base.storage import Location, local_copy
 from fourd.cli.locations import PATH_OR_URL, transfer_progress
 from fourd.cli.options import StyleName, check_rendering, describe, option
 from fourd.cli.outputs import READS, WRITES
-from fourd.scene.styles import load_style
-from fourd.viewer.display import DisplaySettings
-from fourd.viewer.rendering.renderers import RendererName
+from fourd.cli.scenes.info_values import count_text
+from fourd.viewer.rendering.renderer_name import RendererName
+
+if TYPE_CHECKING:
+    from fourd.viewer.display import DisplaySettings
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,8 @@ class Arguments:
     """Number of points composited per pixel (K), 1 to 64. Ignored by --renderer sorted, which composites all points."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Background colour: red, green and blue, 0 to 1 each."""
+    transparent: bool = False
+    """Write the --screenshot with an alpha channel instead of a background."""
     style: StyleName = None
     headless: Annotated[Path | None, WRITES, option("FILE.{mp4,webm,gif}", "none")] = None
     """Render a video to this .mp4 (H.264), .webm (VP9) or .gif file, without opening a window."""
@@ -62,10 +66,15 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Open a window, or write a video or an image."""
+    from fourd.scene.styles import load_style
+    from fourd.viewer.display import DisplaySettings
+
     console = Terminal(stderr=True)
     check_rendering(
         arguments.layers, arguments.background, size=arguments.size, steps=arguments.steps, fps=arguments.fps
     )
+    if arguments.transparent and (arguments.screenshot is None or arguments.headless is not None):
+        raise UserError("--transparent: expected --screenshot FILE.png alone, got another output; videos have no alpha")
     style = None if arguments.style is None else load_style(arguments.style)
     settings = DisplaySettings(layers=arguments.layers or 0, background=arguments.background, style=style)
     with nullcontext() if arguments.source is None else local_copy(arguments.source, transfer_progress()) as source:
@@ -90,8 +99,10 @@ def _view(arguments: Arguments, source: Path | None, settings: DisplaySettings, 
         raise UserError("SCENE|RUN: expected a .4dv file or a run folder, got none; name a file or folder")
     headless = Headless(source, arguments.renderer, arguments.size, settings)
     if arguments.screenshot is not None:
-        headless.screenshot(arguments.screenshot, arguments.camera, arguments.frame, console)
+        headless.screenshot(
+            arguments.screenshot, arguments.camera, arguments.frame, console, is_transparent=arguments.transparent
+        )
         console.print(f"{arguments.screenshot}: written", soft_wrap=True)
     if arguments.headless is not None:
         count = headless.video(arguments.headless, arguments.path, arguments.steps, arguments.fps, console)
-        console.print(f"{arguments.headless}: {count} images", soft_wrap=True)
+        console.print(f"{arguments.headless}: {count_text(count, 'image')}", soft_wrap=True)

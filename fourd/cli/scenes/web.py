@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
@@ -16,10 +16,11 @@ from fourd.base.processes import locked_folder
 from fourd.base.progress import Terminal, Track, Tracker
 from fourd.cli.options import TIER_HELP, MaxMbps, PageStyles, ScenePath, check_mbps, describe, option
 from fourd.cli.outputs import WRITES_WHOLE_FOLDER
-from fourd.scene.container import SceneReader
 from fourd.scene.files.encoding import Tier
-from fourd.scene.packing.rate import Choice, choose_tier
-from fourd.scene.styles import Style
+
+if TYPE_CHECKING:
+    from fourd.scene.packing.rate import Choice
+    from fourd.scene.styles import Style
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,9 @@ def _choose(scene: Path, max_mbps: float, track: Track) -> Choice:
     """Choose how to encode an unpacked scene: the tier (option --tier: how colours are stored and how coarsely
     values are quantised) and, within the tier, the level (set of quantisation steps). The choice is the best quality
     that a web page can play without pauses over a connection of ``max_mbps`` Mbit/s."""
+    from fourd.scene.container import SceneReader
+    from fourd.scene.packing.rate import choose_tier
+
     reader = SceneReader(scene)
     is_packed = reader.manifest.encoding is not None
     reader.close()

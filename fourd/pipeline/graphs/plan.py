@@ -20,7 +20,7 @@ from fourd.pipeline.workload import Workload
 from fourd.reconstruction.training.config import TrainConfig
 from fourd.recording.board_calibration.search import BoardRecording, find_board_recording
 from fourd.recording.capture.decoding import picture_size
-from fourd.recording.capture.layout import parse_frame_range
+from fourd.recording.capture.layout import parse_frame_range, select_views
 from fourd.recording.capture.streams.container import frame_count, open_container, video_stream
 from fourd.recording.importing.detection import pick_format
 from fourd.recording.importing.imported import EncodedPictures, Frames, ImportedCamera, PictureFiles, VideoFile
@@ -116,7 +116,9 @@ def _forecast(stages: SceneStages, workers: int) -> tuple[Forecast, Workload]:
     count, size = _measure(cameras[0].frames)
     with suppress(UserError):
         count = None if count is None else len(parse_frame_range(train.frames, count))
-    views = len(cameras) if train.views is None else len(train.views)
+    views = len(cameras)
+    with suppress(UserError):
+        views = len(select_views(train.views, [camera.name for camera in cameras]))
     return Forecast(masks, count), Workload(views, count, size[0] * size[1] / 1e6, workers)
 
 

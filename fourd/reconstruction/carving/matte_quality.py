@@ -142,7 +142,7 @@ def measure_mattes(
     frames = sample_indices(capture.frame_count, max_frames)
     found = [
         frame_coherence(frame_masks(capture, frame), capture.cameras, agreement=agreement, least_views=least_views)
-        for frame in track(frames, len(frames), "agreement")
+        for frame in track(frames, len(frames), "comparing mattes with their hull")
     ]
     return MatteQuality(
         tuple(capture.names),

@@ -321,7 +321,8 @@ class TrainConfig:
     image_scale: float = 1.0
     """Scale of the images. A scale of 0.5 halves width and height."""
     views: tuple[str, ...] | None = None
-    """Names of the cameras to use. If null, all cameras are used."""
+    """Names of the cameras to use or, with a minus sign in front of each name, of the cameras to leave out. If null,
+    all cameras are used."""
     test_views: tuple[str, ...] | None = None
     """Names of held-out cameras, which are used neither for training nor as source views. If null, the capture's test
     split (`split.json`) is held out, if it has one. An empty list holds out no camera."""

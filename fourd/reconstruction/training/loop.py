@@ -21,6 +21,7 @@ from fourd.base.errors import UserError
 from fourd.base.files import atomic_path
 from fourd.base.formats.picture import write_picture
 from fourd.base.processes import DeferredInterrupt
+from fourd.base.progress import format_minutes
 from fourd.reconstruction.training.cameras.calibration import write_corrected
 from fourd.reconstruction.training.checkpoints import (
     SavedProgress,
@@ -158,7 +159,7 @@ class Trainer:
             self._step(log)
             trimmer.after_step()
             self.seconds += self.group.longest(time.monotonic() - started)
-            show(f"step {self.done}  {self.psnr:.2f} dB")
+            show(self._describe())
             if self.held_out.is_release_due(self._spent()):
                 trimmer.trim()
                 self._release_camera()
@@ -341,6 +342,14 @@ class Trainer:
 
     def _count(self) -> StepCount:
         return StepCount(self.done, self.seconds, self._spent())
+
+    def _describe(self) -> str:
+        """Return the state of training for the progress bar, such as "step 301, 32.0 dB on training views, 5:31 of
+        10:00"."""
+        of_steps = "" if self.config.max_steps is None else f" of {self.config.max_steps}"
+        seconds = self.config.max_seconds
+        of_time = "" if seconds is None else f", {format_minutes(self.seconds)} of {format_minutes(seconds)}"
+        return f"step {self.done}{of_steps}, {self.psnr:.1f} dB on training views{of_time}"
 
     def _spent(self) -> float:
         return budget_spent(self.config, self.done, self.seconds)

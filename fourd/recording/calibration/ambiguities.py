@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +23,9 @@ from fourd.recording.calibration.principal_points import (
     principal_point_hypotheses,
 )
 from fourd.recording.calibration.residuals import MAX_GOOD_PX, Pair, compute_residuals
+from fourd.recording.import_choices import PrincipalPointMode
 
 Picture = NDArray[np.uint8]
-PrincipalPointMode = Literal["auto", "as-given", "mirrored"]
 
 CENTRED_HYPOTHESES = ("unchanged", "scaled", "stretched", "letterboxed", "filled", "cropped centre")
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -186,6 +185,8 @@ def write_calibration(folder: Path | str, names: Sequence[str], cameras: Sequenc
     Raises:
         ValueError: if a name is not valid; see :func:`camera_name_problem`.
     """
+    import cv2  # Only here, so that the names of the files can be read without the import of OpenCV.
+
     intri: dict[str, Value] = {"names": list(names)}
     extri: dict[str, Value] = {"names": list(names)}
     for name, camera in zip(names, cameras, strict=True):
@@ -263,6 +264,8 @@ def _read_rotation(name: str, extri: _Storage) -> Array:
                 f"rotation vector (Rodrigues), rename the key to R_{name}"
             )
         return extri.matrix("Rot", name, (3, 3))
+    import cv2
+
     vector = extri.matrix("R", name, None)
     if vector.size not in (3, 9):
         raise UserError(f"{extri.path}: R_{name}: expected 3 numbers (Rodrigues), got {vector.size}; correct the value")

@@ -192,7 +192,8 @@ def parse_frame_range(text: str | None, count: int, source: str = "capture") -> 
 
 def select_views(views: Sequence[str] | None, names: Sequence[str], option: str = "--views") -> list[str]:
     """Return the names of the selected cameras in the order of ``names``. If ``views`` is None, all cameras are
-    selected. A number also selects the only camera with this number as its name: 0 selects 00.
+    selected. A number also selects the only camera with this number as its name: 0 selects 00. If every name has a
+    minus sign in front, as in -05, all cameras except the named ones are selected. No camera name starts with one.
 
     Raises:
         UserError: if a name is unknown, or no camera is selected. For an unknown name, the message suggests the most
@@ -200,6 +201,11 @@ def select_views(views: Sequence[str] | None, names: Sequence[str], option: str 
     """
     if views is None:
         return list(names)
+    if views and all(view.startswith("-") for view in views):
+        left_out = select_views([view[1:] for view in views], names, "--exclude-views")
+        if len(left_out) == len(names):
+            raise UserError("--exclude-views: expected at least one camera that is left, got all cameras; name fewer")
+        return [name for name in names if name not in left_out]
     views = [_by_number(view, names) for view in views]
     for view in views:
         if view not in names:

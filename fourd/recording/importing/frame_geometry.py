@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +11,8 @@ from numpy.typing import NDArray
 from fourd.base.cameras import Camera
 from fourd.base.errors import UserError
 from fourd.recording.capture.video import VideoIndex
+from fourd.recording.import_choices import CalibratedFrames
 from fourd.recording.importing.imported import ImportedCamera
-
-CalibratedFrames = Literal["auto", "turned", "stored"]
-"""Frames to which a calibration belongs: "stored" are the frames as the file stores them, and "turned" are the frames
-after they are turned upright by the rotation in the video's metadata. "auto" selects the frames that have the same
-orientation (portrait or landscape) as the images of the calibration, or "turned" if the orientation does not decide."""
 
 
 def turn_camera(camera: Camera, degrees: int) -> Camera:

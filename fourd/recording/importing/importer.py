@@ -10,7 +10,7 @@ from fourd.base.cameras import describe_equal_positions
 from fourd.base.errors import UserError
 from fourd.base.files import remove_unfinished, resolved
 from fourd.base.progress import Log, Track
-from fourd.recording.calibration.ambiguities import PrincipalPointMode, resolve_ambiguities
+from fourd.recording.calibration.ambiguities import resolve_ambiguities
 from fourd.recording.calibration.chessboard import Board
 from fourd.recording.calibration.scale import Distance, set_world_frame
 from fourd.recording.calibration.structure_from_motion import calibrate_from_pictures
@@ -22,12 +22,13 @@ from fourd.recording.capture.pictures.alpha import ALPHA_NOTE, alpha_is_matte
 from fourd.recording.capture.pictures.masks import MaskFolder
 from fourd.recording.capture.video import VideoIndex
 from fourd.recording.capture.video_index import cached_indices
+from fourd.recording.import_choices import CalibratedFrames, PairBy, PrincipalPointMode, SyncMethod
 from fourd.recording.importing.detection import Format
-from fourd.recording.importing.frame_geometry import CalibratedFrames, match_calibrations, reduced_indices
+from fourd.recording.importing.frame_geometry import match_calibrations, reduced_indices
 from fourd.recording.importing.given_calibration import apply_calibration, is_metric_calibration
 from fourd.recording.importing.imported import Imported, VideoFile, video_files
 from fourd.recording.importing.pictures.geometry import match_pictures
-from fourd.recording.importing.pictures.moments import PairBy, align_pictures
+from fourd.recording.importing.pictures.moments import align_pictures
 from fourd.recording.importing.record import (
     ImportRecord,
     check_same_source,
@@ -40,7 +41,6 @@ from fourd.recording.importing.sample_frames import SynchronizedFrames
 from fourd.recording.importing.time_offsets import (
     Estimate,
     SoundPosition,
-    SyncMethod,
     applied_offsets,
     correct_sound_travel,
     describe_offsets,

@@ -17,6 +17,7 @@ from fourd.base.progress import Log, Track
 from fourd.recording.capture.focus import find_focus
 from fourd.recording.capture.layout import DERIVED
 from fourd.recording.capture.video import VideoIndex
+from fourd.recording.import_choices import SyncMethod
 from fourd.recording.importing.imported import ImportedCamera, video_files
 from fourd.recording.importing.sample_frames import SynchronizedFrames
 from fourd.recording.sync.motion import (
@@ -36,7 +37,6 @@ DECIMALS = 2
 """Applied offsets, in frames, are rounded to this number of decimals."""
 PLOT = DERIVED / "sync.png"
 
-SyncMethod = Literal["auto", "sound", "motion"]
 SoundPosition = Literal["auto", "none", "centre"] | tuple[float, float, float]
 """Position of the sound source in world units. "centre" is the point that the cameras face. "none" means no correction.
 "auto" means "centre" if the world is in metres, and "none" otherwise."""

@@ -12,19 +12,17 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from fourd.base.errors import UserError
 from fourd.base.processes.torchrun import local_rank
+from fourd.rendering.ops.device_name import DeviceName
 from fourd.rendering.ops.loading import simd_name
 
 CPU = torch.device("cpu")
-
-DeviceName = Literal["auto", "cpu", "cuda"]
-"""Device name. "auto" selects a GPU if fourd can use one, and the CPU otherwise."""
 
 
 @dataclass(frozen=True)

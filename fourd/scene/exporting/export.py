@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from fourd.base.progress import Track, untracked
 from fourd.recording.capture.layout import sample_indices
 from fourd.scene.colour_fit import viewpoints
 from fourd.scene.exporting import usd
+from fourd.scene.exporting.format import Format
 from fourd.scene.exporting.gltf import write_splat_glb
 from fourd.scene.rendering import Scene, render_frame
 from fourd.scene.scene import SceneManifest
@@ -26,7 +27,6 @@ from fourd.scene.splats.ply import write_splat_ply
 from fourd.scene.splats.raw import write_splat
 from fourd.scene.splats.spz import require_gsply, write_spz
 
-Format = Literal["ply-sequence", "splat", "spz", "glb", "usd", "ply"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 SUFFIXES: dict[Format, str] = {
     "ply-sequence": ".ply",

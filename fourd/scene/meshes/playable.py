@@ -56,6 +56,11 @@ class PlayableMeshes:
         self.fps = DEFAULT_FPS
 
     @property
+    def bounds(self) -> None:
+        """None, because the cameras already frame the meshes."""
+        return None
+
+    @property
     def is_whole(self) -> bool:
         return False
 

@@ -12,8 +12,9 @@ from fourd.rendering.ops.loading import load_native
 from fourd.rendering.ops.play.op import MIN_TRANSMITTANCE
 from fourd.rendering.ops.points.arrays import render_points_numpy
 from fourd.rendering.ops.stylize.reference import front_weight
-from fourd.scene import BakedFrame, SceneManifest, SceneReader, SceneWriter, combine_frames, shade
+from fourd.scene import BakedFrame, SceneManifest, SceneReader, SceneWriter, combine_frames
 from fourd.scene.packing.pack import pack_scene
+from fourd.scene.shade import shade
 from fourd.scene.styled.normals import FrameNormals, add_normals
 from fourd.scene.styled.player import StyledPlayer
 from fourd.scene.styles import PRESETS, decode_octahedral, load_style

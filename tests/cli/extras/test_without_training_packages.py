@@ -38,7 +38,9 @@ def test_scenes_play(tmp_path: Path) -> None:
     assert (tmp_path / "view.mp4").stat().st_size > 0
 
 
-@pytest.mark.parametrize("words", [["train", "capture", "--out", "run"], ["make", "--help"], ["eval", "run"]])
+@pytest.mark.parametrize(
+    "words", [["train", "capture", "--out", "run"], ["make", "capture", "-o", "scene.4dv"], ["eval", "run"]]
+)
 def test_training_names_the_extra_in_one_line(words: list[str]) -> None:
     """Catches a traceback if a package of the extra is not installed."""
     done = run_without_training_packages(*words)

@@ -115,7 +115,7 @@ def test_bad_values_are_one_line(
 def test_help_shows_the_defaults_of_the_config(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Catches an option whose default value is missing in --help."""
     with pytest.raises(SystemExit):
-        main([command, "--help"])
+        main([command, "--help-all"])
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())
     defaults = TrainConfig()
     for default in (defaults.points, defaults.background.points, defaults.scene, defaults.background.seeding):
@@ -155,7 +155,7 @@ def test_accepted_mattes_do_not_make_a_still_scene(
         requests.append(request)
         return ()
 
-    monkeypatch.setattr("fourd.cli.runs.train.stages_to_run", record)
+    monkeypatch.setattr("fourd.pipeline.graphs.run.stages_to_run", record)
     words = ["train", str(ball_capture), "-o", str(tmp_path / "run"), "--max-steps", "1", "--accept-mattes"]
     assert main(words) == 0
     assert (requests[0].accept_mattes, requests[0].still) == (True, False)

@@ -82,12 +82,11 @@ def test_the_next_commands_work_in_a_folder_with_spaces(
         return shlex.split(found[0])[1:]
 
     made = run(run(["check", "my cap (1)"]), *small)
-    assert made[0] == "render"
+    assert made[0] == "view"
     trained = run(["train", "my cap (1)", "-o", "my run", "--test-views", "02"], *small)
-    assert trained == ["eval", "my run"]
-    assert main(trained) == 0
-    rendered = run(["export", "my run", "-o", "my scene.4dv"])
-    assert main([*rendered, "--steps", "2", "--size", "32", "32"]) == 0
+    assert trained == ["view", "my run"]
+    viewed = run(["export", "my run", "-o", "my scene.4dv"])
+    assert main([*viewed, "--screenshot", "view.png", "--renderer", "cpu", "--size", "32", "32"]) == 0
     served = run(["web", "my scene.4dv", "-o", "my site"])
     assert served == ["serve", "my site"]
     assert run(["pack", "my scene.4dv", "-o", "it's small.4dv"]) == ["view", "it's small.4dv"]

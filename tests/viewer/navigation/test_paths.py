@@ -57,6 +57,33 @@ def test_a_path_in_a_whole_scene_stays_in_the_room(kind: PathKind) -> None:
     assert max(abs(camera.centre[1]) for camera in subject) > 2.5
 
 
+def test_an_orbit_frames_a_small_subject() -> None:
+    """On the rig of a laboratory, an orbit kept the distance of the cameras, and the subject was 3% of the images."""
+    intrinsics = np.array([[60.0, 0, 32], [0, 60, 32], [0, 0, 1]])
+    angles = 2 * np.pi * np.arange(8) / 8
+    centres = [np.array([9 * np.cos(angle), 9 * np.sin(angle), 2.0]) for angle in angles]
+    cameras = [look_at(at, np.zeros(3), np.array([0.0, 0, 1]), intrinsics, 64, 64) for at in centres]
+    lower, upper = np.array([0.5, 0.5, -1.0]), np.array([1.0, 1.0, 1.0])
+    corners = np.array(list(itertools.product(*zip(lower, upper, strict=True))))
+    path = camera_path("orbit", cameras, np.zeros(3), 12, bounds=(lower, upper))
+    shares = []
+    for camera in path:
+        pixels, depths = camera.project(corners)
+        assert depths.min() > 0
+        shares.append(float(np.abs(pixels - 32).max() / 32))
+    assert max(shares) == pytest.approx(0.8, abs=1e-6)
+    assert min(shares) > 0.6
+
+
+def test_an_orbit_around_a_large_subject_keeps_the_distance_of_the_cameras() -> None:
+    """Catches images that are magnified although the subject already fills them."""
+    cameras = ring_cameras(10, 64)
+    box = (np.full(3, -0.8), np.full(3, 0.8))
+    framed = camera_path("orbit", cameras, np.zeros(3), 12, bounds=box)
+    plain = camera_path("orbit", cameras, np.zeros(3), 12)
+    assert all(np.array_equal(a.centre, b.centre) for a, b in zip(framed, plain, strict=True))
+
+
 def test_a_path_around_a_flat_ring_keeps_its_distance() -> None:
     """Catches an orbit that moves into the subject because the hull of a flat ring of cameras is no room."""
     intrinsics = np.array([[60.0, 0, 32], [0, 60, 32], [0, 0, 1]])

@@ -12,7 +12,8 @@ from fourd.base.progress import Track
 from fourd.recording.capture.decoding import PictureHeader, check_orientation, read_header
 from fourd.recording.capture.pictures.bits import check_bits
 from fourd.recording.capture.pictures.orientation import TURNS, fits_stored_only
-from fourd.recording.importing.frame_geometry import CalibratedFrames, turn_camera
+from fourd.recording.import_choices import CalibratedFrames
+from fourd.recording.importing.frame_geometry import turn_camera
 from fourd.recording.importing.imported import Imported, ImportedCamera, PictureFiles
 
 

@@ -7,18 +7,14 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 from fourd.base.errors import UserError
 from fourd.base.formats.frame_numbers import DIGITS
 from fourd.recording.capture.layout import frame_name, sort_frames
 from fourd.recording.capture.pictures.moments import match_frames
+from fourd.recording.import_choices import PairBy
 from fourd.recording.importing.imported import EncodedPictures, Imported, ImportedCamera, PictureFiles
 
-PairBy = Literal["auto", "name", "order"]
-"""How images of different cameras are paired. "name": images with the same frame name or frame number belong together.
-"order": the first images of all cameras belong together, and so on. "auto" is "name", but raises an error if the names
-leave doubt."""
 MIN_SHARE = 0.5
 """With "auto", an error is raised if fewer than this fraction of all moments would be imported."""
 MAX_LISTED = 5

@@ -194,8 +194,8 @@ class _OpenFile:
                 )
             if dataset.size > MAX_IMAGE_BYTES:
                 raise UserError(
-                    f"{self._path}: {name}: expected an image of at most {MAX_IMAGE_BYTES >> 20} MB, got "
-                    f"{dataset.size >> 20} MB; download it again"
+                    f"{self._path}: {name}: expected an image of at most {MAX_IMAGE_BYTES / 1e6:.0f} MB, got "
+                    f"{dataset.size / 1e6:.0f} MB; download it again"
                 )
             return None, bytes(dataset[:max_bytes].tobytes())
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import accumulate
+from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
 
 MAX_LEVELS = 32
 MAX_FEATURES = 8
@@ -90,6 +92,8 @@ def check_hash_grid(coordinates: Tensor, table: Tensor, shape: HashGridShape) ->
     Raises:
         TypeError, ValueError: for an invalid argument, with a message that names the argument and the expected value.
     """
+    import torch  # The shape alone is part of the training config, which commands read for their help.
+
     if coordinates.ndim != 2 or coordinates.shape[1] != 3:
         raise ValueError(f"coordinates: expected shape (N, 3), got {tuple(coordinates.shape)}")
     expected = (shape.total_entries, shape.features)

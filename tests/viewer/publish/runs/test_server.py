@@ -315,16 +315,10 @@ def test_serving_a_run(run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytes
     printed = capsys.readouterr().err
     assert opened[1] in printed
     assert "from other machines: http://" in printed
-    with serving(run) as server:
-        port = str(server.server_address[1])
-        for words, expected in (
-            (["--port", port], f"--port {port}: expected a free port, got one in use; choose another one"),
-            (["--port", "0", "--token", "short"], "--token: expected 16 to 128 letters"),
-        ):
-            assert main(["serve", str(run), *words]) == 2
-            error = capsys.readouterr().err.strip()
-            assert expected in error
-            assert len(error.splitlines()) == 1
+    assert main(["serve", str(run), "--port", "0", "--token", "short"]) == 2
+    error = capsys.readouterr().err.strip()
+    assert "--token: expected 16 to 128 letters" in error
+    assert len(error.splitlines()) == 1
     (run.parent / "scene.4dv").write_bytes(b"")
     assert main(["serve", str(run.parent / "scene.4dv"), "--token", TOKEN]) == 2
     assert "--token: expected a run, got" in capsys.readouterr().err
