@@ -59,11 +59,12 @@ def rasterize_soft(
         distance: "euclidean": d_ij is the distance from the nearest edge, in units of half of the image's shorter side.
             "barycentric": d_ij is the smallest barycentric coordinate.
         cutoff: triangles are skipped at pixels where D_ij is below this number, which is in (0, 0.5).
-        near, far: range of camera depths in world units. A triangle is culled if it has a vertex nearer than ``near``,
-            if its inradius is at most 1e-4 pixels, or if a vertex is not finite. Culled triangles have zero gradients.
-            A triangle is skipped at pixels where its depth is larger than ``far``.
+        near: smallest camera depth in world units. A triangle is culled if it has a vertex nearer than ``near``, if its
+            inradius is at most 1e-4 pixels, or if a vertex is not finite. Culled triangles have zero gradients.
+        far: largest camera depth in world units. A triangle is skipped at pixels where its depth is larger.
         eps: normalised depth of the background.
-        backend, threads: as in :func:`fourd.rendering.triangles.splat_triangles`.
+        backend: as in :func:`fourd.rendering.triangles.splat_triangles`.
+        threads: as in :func:`fourd.rendering.triangles.splat_triangles`.
 
     Returns:
         features (H, W, C), and alpha (H, W) in [0, 1].
