@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import shutil
+import subprocess
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -57,11 +60,31 @@ def test_the_citation_has_the_version_and_the_licence() -> None:
     assert all(f"{author['family-names']}, " in readme for author in citation["preferred-citation"]["authors"])
 
 
-def test_all_files_name_the_same_address() -> None:
-    """Catches an address that was changed in one file only when the project got or moved its site."""
-    home = project()["urls"]["Homepage"]
-    assert f'site_url: !ENV [SITE_URL, "{home}"]' in (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
-    assert all(url.startswith(home) for url in project()["urls"].values()) or "example" not in home
+@pytest.mark.parametrize("name", ["pyproject.toml", "mkdocs.yml", "CITATION.cff", "README.md"])
+def test_no_address_is_a_placeholder(name: str) -> None:
+    """Catches an address that leads nowhere, on the page of the package or as the canonical address of the site."""
+    assert re.findall(r"https?://[\w.-]*\bexample\b[\w./-]*", (ROOT / name).read_text(encoding="utf-8")) == []
+
+
+def test_the_site_takes_its_address_from_the_workflow() -> None:
+    """Catches a published site whose pages name another address, and one without a map for search engines."""
+    assert 'site_url: !ENV [SITE_URL, ""]' in (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    steps = yaml.safe_load((ROOT / ".github/workflows/pages.yml").read_text(encoding="utf-8"))["jobs"]["build"]["steps"]
+    (build,) = [step for step in steps if step.get("run") == "make docs"]
+    assert build["env"] == {"SITE_URL": "${{ steps.pages.outputs.base_url }}/"}
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash here")
+@pytest.mark.parametrize(("owner", "code"), [("owner", 0), ("other", 1)])
+def test_a_release_links_to_its_repository(owner: str, code: int, tmp_path: Path) -> None:
+    """Catches a release without links to the source. Files on PyPI cannot be replaced, so it would never have any."""
+    workflow = yaml.safe_load((ROOT / ".github/workflows/release.yml").read_text(encoding="utf-8"))
+    (script,) = [step["run"] for step in workflow["jobs"]["version"]["steps"] if "links" in step.get("name", "")]
+    urls = '[project.urls]\nSource = "https://git.test/owner/fourd"\n'
+    (tmp_path / "pyproject.toml").write_text(urls, encoding="utf-8")
+    names = {"GITHUB_SERVER_URL": "https://git.test", "GITHUB_REPOSITORY": f"{owner}/fourd"}
+    done = subprocess.run(["bash", "-e", "-c", script], cwd=tmp_path, env={**os.environ, **names}, capture_output=True)
+    assert done.returncode == code
 
 
 def test_configurations_of_editors_and_services_are_valid() -> None:

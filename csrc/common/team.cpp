@@ -1,5 +1,7 @@
 #include "common/team.h"
 
+#include <system_error>
+
 namespace fourd {
 
 Team::Team(int threads) {

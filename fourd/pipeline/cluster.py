@@ -189,11 +189,11 @@ def join_cluster(address: str, segment_cores: int) -> Iterator[Cluster]:
             logging_level=logging.ERROR,
             include_dashboard=False if address == "auto" else None,
         )
-    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        reason = one_line(error, MAX_REASON)
+    except Exception as error:  # If a busy machine starts it too slowly, Ray raises the bare class Exception.
+        fix = "run the command again when this machine is less busy" if address == "auto" else "use --ray auto"
         raise UserError(
-            f"--ray: expected a Ray cluster at {address}, got '{reason}'; start one with ray start --head, or use "
-            "--ray auto"
+            f"--ray: expected a Ray cluster at {address}, got '{one_line(error, MAX_REASON)}'; start one with "
+            f"ray start --head, or {fix}"
         ) from error
     try:
         yield Cluster(ray, segment_cores)

@@ -130,6 +130,18 @@ def test_a_missing_package_is_named(ball_capture: Path, tmp_path: Path, capsys: 
 
 
 @needs_ray
+def test_a_cluster_that_does_not_start_is_no_internal_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a traceback on a machine that is too busy to start Ray in time."""
+
+    def init(**_: object) -> None:
+        raise Exception("The current node timed out during startup.")
+
+    monkeypatch.setattr("ray.init", init)
+    with pytest.raises(UserError, match="got 'The current node timed out"), join_cluster("auto", 1):
+        pass
+
+
+@needs_ray
 def test_a_killed_worker_is_replaced_and_failures_wait_for_the_others(cluster: Cluster, tmp_path: Path) -> None:
     """Catches a command that fails because a worker is lost, and a failed stage that stops the other stages. Also
     catches a message that does not name the node.

@@ -72,7 +72,10 @@ def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:
     from fourd.viewer.publish.site import loaded_modules
 
     modules = loaded_modules(Path(config.site_dir))
-    head = [f'<link rel="modulepreload" href="{get_relative_url(name, page.url)}">' for name in modules]
+    # The player sets its poster only after all modules are there, so that the browser would see the picture late.
+    posters = re.findall(r'<fourd-player [^>]*poster="([^"]+)"', output)
+    head = [f'<link rel="preload" as="image" href="{poster}" fetchpriority="high">' for poster in posters]
+    head += [f'<link rel="modulepreload" href="{get_relative_url(name, page.url)}">' for name in modules]
     head.append(f'<script type="module" src="{get_relative_url(f"{SCENES}/page.js", page.url)}"></script>')
     return output.replace("</head>", "\n".join([*head, "</head>"]), 1)
 
@@ -111,7 +114,7 @@ def examples_page() -> str:
 def repository_page(name: str) -> str:
     """Return a Markdown file from the top of the repository, with links made relative to docs/."""
     text = (ROOT / name).read_text(encoding="utf-8")
-    text = re.sub(r"\]\(docs/", "](", text)
+    text = re.sub(r"\]\((?:\.\./)*docs/", "](", text)
     # Links to files outside docs/, which are not part of the site, are replaced by their link text.
     return re.sub(r"\[([^\]]+)\]\((?!https?:|#)([^)#]+\.(?:py|yaml|toml|h|sh))\)", r"\1", text)
 

@@ -75,8 +75,8 @@ def splat_along_rays(
         camera: camera whose image defines the window function, or None to define it in 3D.
         t_min: hits with t below ``t_min`` are skipped. The point at t is ``origin + t * direction``.
         layers: maximum number of triangles that are composited along a ray, or None for no limit.
-        origins, directions, backend, threads: as in :func:`fourd.rendering.rays.trace`.
 
+    The other arguments are those of :func:`fourd.rendering.rays.trace`.
     The results are differentiable in ``xyz``, ``features``, ``opacity``, ``sigma``, ``origins`` and ``directions``.
 
     Raises:

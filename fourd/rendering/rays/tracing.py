@@ -71,8 +71,9 @@ def trace(
         directions: (R, 3) float32, of any length. The point at t is ``origin + t * direction``. The largest absolute
             coordinate of a direction must be between 1e-18 and 1e18. A ray whose origin or direction is out of range
             hits nothing.
-        t_min, t_max: limits of the range of t in which hits are found. Each is a number for all rays, or a tensor (R,)
-            with one number per ray. A ray with t_min > t_max hits nothing.
+        t_min: lower limit of the range of t in which hits are found: a number for all rays, or a tensor (R,) with one
+            number per ray.
+        t_max: upper limit of this range, likewise. A ray with t_min > t_max hits nothing.
         layers: maximum number K of hits per ray, from 1 to 1024.
         after: t (R,) and triangle (R,) of one hit per ray. Only hits that come after it are found. Pass ``hits.last()``
             of the previous call to get the next hits. Hits of equal t are then neither lost nor repeated.

@@ -20,7 +20,8 @@ def clip_matrix(camera: Camera, near: float, far: float) -> Tensor:
 
     Args:
         camera: pinhole camera without lens distortion.
-        near, far: camera depths, in world units, of the nearest and farthest visible surfaces; 0 < near < far.
+        near: camera depth, in world units, of the nearest visible surfaces; 0 < near < far.
+        far: camera depth, in world units, of the farthest visible surfaces.
 
     Raises:
         TypeError: if ``camera`` is not a camera.

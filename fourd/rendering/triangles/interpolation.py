@@ -39,7 +39,8 @@ def interpolate(
         rast_db: (B, H, W, 4) derivatives from ``rasterize``, required if ``diff_attrs`` selects channels, and otherwise
             ignored.
         diff_attrs: channels whose derivatives are computed: a list (negative indices count from the end), or "all".
-        backend, threads: see ``rasterize``.
+        backend: see ``rasterize``.
+        threads: see ``rasterize``.
 
     Returns:
         The values ``out`` (B, H, W, C), and for D channels in ``diff_attrs`` the derivatives ``out_da``

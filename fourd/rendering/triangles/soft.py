@@ -46,7 +46,8 @@ def rasterize_soft(
     It is computed with barycentric coordinates that are clamped to the triangle.
 
     The results are differentiable in ``xyz`` and ``features``. The backward pass treats the selection of triangles as
-    constant. On the CPU, results and gradients are bit-identical for any number of threads.
+    constant. On the CPU, results and gradients are bit-identical for any number of threads. ``backend`` and ``threads``
+    are those of :func:`fourd.rendering.triangles.splat_triangles`.
 
     Args:
         xyz: (V, 3) vertices in world units.
@@ -59,11 +60,10 @@ def rasterize_soft(
         distance: "euclidean": d_ij is the distance from the nearest edge, in units of half of the image's shorter side.
             "barycentric": d_ij is the smallest barycentric coordinate.
         cutoff: triangles are skipped at pixels where D_ij is below this number, which is in (0, 0.5).
-        near, far: range of camera depths in world units. A triangle is culled if it has a vertex nearer than ``near``,
-            if its inradius is at most 1e-4 pixels, or if a vertex is not finite. Culled triangles have zero gradients.
-            A triangle is skipped at pixels where its depth is larger than ``far``.
+        near: smallest camera depth in world units. A triangle is culled if it has a vertex nearer than ``near``, if its
+            inradius is at most 1e-4 pixels, or if a vertex is not finite. Culled triangles have zero gradients.
+        far: largest camera depth in world units. A triangle is skipped at pixels where its depth is larger.
         eps: normalised depth of the background.
-        backend, threads: as in :func:`fourd.rendering.triangles.splat_triangles`.
 
     Returns:
         features (H, W, C), and alpha (H, W) in [0, 1].

@@ -40,7 +40,13 @@ def edge_gradients(
     number of threads. On a GPU, the last bits of the gradient of ``pos`` can differ between calls.
 
     Args:
-        color, rast, pos, tri, topology, backend, threads: see :func:`fourd.rendering.triangles.antialias`.
+        color: see :func:`fourd.rendering.triangles.antialias`.
+        rast: see :func:`fourd.rendering.triangles.antialias`.
+        pos: see :func:`fourd.rendering.triangles.antialias`.
+        tri: see :func:`fourd.rendering.triangles.antialias`.
+        topology: see :func:`fourd.rendering.triangles.antialias`.
+        backend: see :func:`fourd.rendering.triangles.antialias`.
+        threads: see :func:`fourd.rendering.triangles.antialias`.
 
     Returns:
         The values of ``color`` (B, H, W, C), in the same memory.

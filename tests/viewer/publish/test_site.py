@@ -37,6 +37,7 @@ def test_files_of_a_site(tmp_path: Path) -> None:
     assert not any("examples" in name for name in names)
     page = (tmp_path / "site" / "index.html").read_text()
     assert "<title>&lt;b&gt;</title>" in page
+    assert 'name="description" content="&lt;b&gt;: ' in page
     assert "{{" not in page
     preloaded = re.findall(r'"modulepreload" href="([^"]+)"', page)
     assert len(preloaded) > 20

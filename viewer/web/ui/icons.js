@@ -5,6 +5,7 @@ export const ICONS = {
   loop: "M12 5V1L7 6l5 5V7a5 5 0 1 1-5 5H5a7 7 0 1 0 7-7z",
   save: "M11 3h2v9h4l-5 5-5-5h4zM4 19h16v2H4z",
   link: "M8 7h3v2H8a3 3 0 0 0 0 6h3v2H8A5 5 0 0 1 8 7zM13 7h3a5 5 0 0 1 0 10h-3v-2h3a3 3 0 0 0 0-6h-3zM8 11h8v2H8z",
+  more: "M4 10h4v4H4zM10 10h4v4h-4zM16 10h4v4h-4z",
   full: "M4 4h6v2H6v4H4zM14 4h6v6h-2V6h-4zM4 14h2v4h4v2H4zM18 14h2v6h-6v-2h4z",
   vr: "M3 7h18v10h-6l-2-3h-2l-2 3H3zM7 10v3h3v-3zM14 10v3h3v-3z",
   help: "M11 17h2v2h-2zM12 5a4 4 0 0 0-4 4h2a2 2 0 1 1 3 1.7c-1.3.8-2 1.7-2 3.3h2c0-.9.4-1.3 1.2-1.8A4 4 0 0 0 12 5z",

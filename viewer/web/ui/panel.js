@@ -42,9 +42,7 @@ export class Panel {
     this.camera = list("Cameras of the capture");
     this.styles = list("Style");
     this.styles.hidden = true;
-    for (const each of [this.loop, this.speed, this.camera]) each.classList.add("wide");
     this.shoot = button("save", "Save the image (I)");
-    this.shoot.classList.add("wide");
     this.link = button("link", "Copy a link to this view (C)");
     this.link.classList.add("link");
     this.full = button("full", "Full screen (F)");
@@ -52,8 +50,15 @@ export class Panel {
     this.vr.hidden = true;
     this.question = button("help", "Controls");
     this.bar = element("div", { className: "bar" });
-    this.bar.append(this.play, this.scrub, this.time, this.loop, this.speed, this.camera, this.styles);
-    this.bar.append(this.shoot, this.link, this.full, this.vr, this.question);
+    // Controls without room in a narrow player. The button `more` shows them in a second row.
+    this.extra = element("div", { className: "extra", id: "extra" });
+    this.extra.append(this.loop, this.speed, this.camera, this.styles, this.shoot, this.link, this.question);
+    this.more = button("more", "More controls");
+    this.more.classList.add("more");
+    this.more.setAttribute("aria-controls", this.extra.id);
+    this.#showExtra(false);
+    this.more.addEventListener("click", () => this.#showExtra(!this.bar.classList.contains("open")));
+    this.bar.append(this.play, this.scrub, this.time, this.more, this.extra, this.full, this.vr);
     root.append(this.canvas, this.poster, this.spinner, this.bar, this.help, this.message);
     this.question.addEventListener("click", () => (this.help.hidden = !this.help.hidden));
     /** @type {ReturnType<typeof setTimeout> | undefined} */
@@ -87,6 +92,12 @@ export class Panel {
   hideMessage() {
     clearTimeout(this.noteTimer);
     this.message.hidden = true;
+  }
+
+  /** @param {boolean} isShown */
+  #showExtra(isShown) {
+    this.bar.classList.toggle("open", isShown);
+    this.more.setAttribute("aria-expanded", String(isShown));
   }
 
   /** @param {string[]} cameras */
