@@ -128,6 +128,7 @@ def test_the_list_and_the_attribute_select_a_style(folder: Path, open_page: Call
         page.wait("!player.panel.styles.hidden")
         names = page.run("return [...player.panel.styles.options].map((option) => option.value);")
         assert names == ["none", *PRESETS, "mixed"]
+        page.page.get_by_role("button", name="More controls").click()
         page.page.locator("fourd-player select[title=Style]").select_option("ink")
         page.wait("stage.style?.style.name === 'ink'")
         ink = picture_of(page, scene)

@@ -37,6 +37,10 @@ button:focus-visible, select:focus-visible, input:focus-visible { outline: 2px s
 }
 @container (max-width: 480px) { .bar { --control: 44px; gap: 6px; } }
 @container (max-width: 320px) { .time { display: none; } }
+@container (max-width: 240px) {
+  .bar { --control: 32px; padding-inline: 4px; }
+  .bar input[type="range"] { display: none; }
+}
 @media (pointer: coarse) { :host { --control: 44px; } }
 .message.note { background: rgb(40 40 40 / 92%); }
 .help { position: absolute; top: 12px; left: 12px; padding: 10px 14px; border-radius: 6px; background: rgb(20 20 20 / 88%);
