@@ -10,9 +10,9 @@ Importing this package loads neither native modules nor torch. The names in ``__
 - :class:`UserError` is raised for an error that the user can cause.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from fourd.base.lazy import lazy_names
 from fourd.base.version import __version__
 
 if TYPE_CHECKING:
@@ -43,27 +43,20 @@ __all__ = [
     "train",
 ]
 
-_MODULES = {
-    "Camera": "base.cameras",
-    "MatteSettings": "recording.matting.sequence",
-    "Player": "scene.player",
-    "TrainConfig": "reconstruction.training.config",
-    "UserError": "base.errors",
-    "look_at": "base.cameras",
-    "make": "pipeline.library",
-    "open_capture": "recording.capture",
-    "open_run": "reconstruction.training.run",
-    "open_scene": "scene",
-    "render_points": "rendering",
-    "train": "pipeline.library",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "Camera": "base.cameras",
+        "MatteSettings": "recording.matting.sequence",
+        "Player": "scene.player",
+        "TrainConfig": "reconstruction.training.config",
+        "UserError": "base.errors",
+        "look_at": "base.cameras",
+        "make": "pipeline.library",
+        "open_capture": "recording.capture",
+        "open_run": "reconstruction.training.run",
+        "open_scene": "scene",
+        "render_points": "rendering",
+        "train": "pipeline.library",
+    },
+)

@@ -5,21 +5,20 @@ Importing this package does not import torch; the first use of one of the two fu
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from fourd.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from fourd.rendering.points import PointRender, point_visibility, render_points
 
 __all__ = ["PointRender", "point_visibility", "render_points"]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from fourd.rendering import points
-
-    return getattr(points, name)
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "PointRender": "points",
+        "point_visibility": "points",
+        "render_points": "points",
+    },
+)

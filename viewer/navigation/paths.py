@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,10 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from fourd.base.cameras import Camera, estimate_up, look_at
-from fourd.viewer.navigation.placement import Bounds, frame_subject, keep_in_room
+from fourd.viewer.navigation.placement import frame_subject, keep_in_room
+
+if TYPE_CHECKING:
+    from fourd.scene.playable import Bounds
 
 Array = NDArray[np.float64]
 PathKind = Literal["orbit", "spiral", "cameras"]
@@ -44,8 +47,9 @@ def camera_path(
 
     A path of the kind "cameras" goes through all cameras in order of azimuth. If ``is_whole`` is true, the scene has
     surroundings, and the paths around the focus stay in the room; see
-    :func:`~fourd.viewer.navigation.placement.keep_in_room`. Otherwise, ``bounds``, the
-    box (lower, upper) of the subject, brings these paths nearer to a small subject; see :func:`frame_subject`.
+    :func:`~fourd.viewer.navigation.placement.keep_in_room`. Otherwise, ``bounds``, the box (lower, upper) of the
+    subject, brings these paths nearer to a small subject; see
+    :func:`~fourd.viewer.navigation.placement.frame_subject`.
     """
     if kind != "cameras":
         around = orbit if kind == "orbit" else spiral

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +11,10 @@ from numpy.typing import NDArray
 from fourd.base.cameras import Camera
 from fourd.base.convex_hull import distance_to_hull
 
+if TYPE_CHECKING:
+    from fourd.scene.playable import Bounds
+
 Array = NDArray[np.float64]
-Bounds = tuple[Sequence[float], Sequence[float]]
 
 ROOM_MARGIN = 0.95
 """Largest distance of a path from the focus, as a fraction of the distance to the convex hull of the cameras."""
@@ -38,11 +41,7 @@ def keep_in_room(path: Sequence[Camera], cameras: Sequence[Camera], focus: Seque
     factor = min(1.0, ROOM_MARGIN * float((walls / distances).min()))
     if factor < MIN_ROOM_SHARE:
         return list(path)
-    centres = centre + factor * offsets
-    return [
-        Camera(camera.intrinsics, camera.rotation, -camera.rotation @ at, camera.width, camera.height)
-        for camera, at in zip(path, centres, strict=True)
-    ]
+    return _moved(path, centre + factor * offsets)
 
 
 def frame_subject(path: Sequence[Camera], focus: Sequence[float] | Array, bounds: Bounds) -> list[Camera]:
@@ -67,7 +66,12 @@ def frame_subject(path: Sequence[Camera], focus: Sequence[float] | Array, bounds
     factor = max(factors)
     if not 0 < factor <= MAX_FRAMED_SHARE:
         return list(path)
+    return _moved(path, middle + factor * offsets)
+
+
+def _moved(path: Sequence[Camera], centres: Array) -> list[Camera]:
+    """Return the cameras at other centres (N, 3)."""
     return [
         Camera(camera.intrinsics, camera.rotation, -camera.rotation @ at, camera.width, camera.height)
-        for camera, at in zip(path, middle + factor * offsets, strict=True)
+        for camera, at in zip(path, centres, strict=True)
     ]

@@ -58,7 +58,6 @@ def run(arguments: Arguments) -> None:
 
 
 def _run_stages(arguments: Arguments, group: ProcessGroup) -> None:
-    # Progress is printed to stdout, because stderr is reserved for the one-line error message.
     from fourd.base.configs import to_yaml
     from fourd.cli.training_options import print_summary
     from fourd.pipeline.fetch import fetch_stage, fetched_path
@@ -73,6 +72,7 @@ def _run_stages(arguments: Arguments, group: ProcessGroup) -> None:
     from fourd.reconstruction.training.run import open_run
     from fourd.rendering.ops.gpu import choose_device
 
+    # Progress is printed to stdout, because stderr is reserved for the one-line error message.
     console = Terminal(quiet=not group.is_first)
     options = arguments.training
     context = Context(console, worker_count(arguments.workers), group, options.device)
@@ -117,7 +117,6 @@ def _resumed_config(options: TrainingOptions, config: TrainConfig) -> TrainConfi
 
     Without a budget option, the config keeps its budget.
     """
-
     from fourd.base.configs import to_yaml
 
     overlaid = options.overlay(config)

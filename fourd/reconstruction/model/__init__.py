@@ -6,28 +6,21 @@ Importing this package does not import torch; the first use of :class:`PointMode
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from fourd.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from fourd.reconstruction.model.config import ModelConfig, PlanesConfig
     from fourd.reconstruction.model.point_model import PointModel
 
-_MODULES: dict[str, str] = {
-    "ModelConfig": "config",
-    "PlanesConfig": "config",
-    "PointModel": "point_model",
-}
-"""Maps each public name to the module of this package that defines it."""
-
 __all__ = ["ModelConfig", "PlanesConfig", "PointModel"]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "ModelConfig": "config",
+        "PlanesConfig": "config",
+        "PointModel": "point_model",
+    },
+)

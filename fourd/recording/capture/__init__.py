@@ -5,29 +5,22 @@ Importing this package imports none of its modules; the first use of a public na
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from fourd.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from fourd.recording.capture.calibration import read_calibration, write_calibration
     from fourd.recording.capture.reader import Capture, open_capture
 
-_MODULES: dict[str, str] = {
-    "Capture": "reader",
-    "open_capture": "reader",
-    "read_calibration": "calibration",
-    "write_calibration": "calibration",
-}
-"""Maps each public name to the module of this package that defines it."""
-
 __all__ = ["Capture", "open_capture", "read_calibration", "write_calibration"]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "Capture": "reader",
+        "open_capture": "reader",
+        "read_calibration": "calibration",
+        "write_calibration": "calibration",
+    },
+)

@@ -5,8 +5,9 @@ Importing this package does not import torch; the first use of one of the public
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from fourd.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from fourd.rendering.triangles.antialiasing import Topology, antialias, antialias_construct_topology
@@ -19,25 +20,6 @@ if TYPE_CHECKING:
     from fourd.rendering.triangles.splatting import TriangleRender, splat_triangles
     from fourd.rendering.triangles.textures import Mip, texture, texture_construct_mip
     from fourd.rendering.triangles.visibility_edges import edge_gradients
-
-_MODULES: dict[str, str] = {
-    "DepthPeeler": "peeling",
-    "Mip": "textures",
-    "Topology": "antialiasing",
-    "TriangleRender": "splatting",
-    "antialias": "antialiasing",
-    "antialias_construct_topology": "antialiasing",
-    "clip_matrix": "clipping",
-    "edge_gradients": "visibility_edges",
-    "estimate_gradient": "gradient_estimates",
-    "interpolate": "interpolation",
-    "rasterize": "rasterization",
-    "rasterize_soft": "soft",
-    "splat_triangles": "splatting",
-    "texture": "textures",
-    "texture_construct_mip": "textures",
-}
-"""Maps each public name to the module of this package that defines it."""
 
 __all__ = [
     "DepthPeeler",
@@ -57,12 +39,23 @@ __all__ = [
     "texture_construct_mip",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "DepthPeeler": "peeling",
+        "Mip": "textures",
+        "Topology": "antialiasing",
+        "TriangleRender": "splatting",
+        "antialias": "antialiasing",
+        "antialias_construct_topology": "antialiasing",
+        "clip_matrix": "clipping",
+        "edge_gradients": "visibility_edges",
+        "estimate_gradient": "gradient_estimates",
+        "interpolate": "interpolation",
+        "rasterize": "rasterization",
+        "rasterize_soft": "soft",
+        "splat_triangles": "splatting",
+        "texture": "textures",
+        "texture_construct_mip": "textures",
+    },
+)

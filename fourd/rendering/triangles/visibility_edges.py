@@ -39,14 +39,7 @@ def edge_gradients(
     forward pass copies no data; the backward pass finds the edges. On the CPU, gradients are bit-identical for any
     number of threads. On a GPU, the last bits of the gradient of ``pos`` can differ between calls.
 
-    Args:
-        color: see :func:`fourd.rendering.triangles.antialias`.
-        rast: see :func:`fourd.rendering.triangles.antialias`.
-        pos: see :func:`fourd.rendering.triangles.antialias`.
-        tri: see :func:`fourd.rendering.triangles.antialias`.
-        topology: see :func:`fourd.rendering.triangles.antialias`.
-        backend: see :func:`fourd.rendering.triangles.antialias`.
-        threads: see :func:`fourd.rendering.triangles.antialias`.
+    The arguments are those of :func:`fourd.rendering.triangles.antialias`.
 
     Returns:
         The values of ``color`` (B, H, W, C), in the same memory.
