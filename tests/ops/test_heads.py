@@ -120,7 +120,7 @@ def test_values_and_gradients_equal_the_reference(
     weights = make_weights(rng, features, hidden, channels)
     exact = HeadWeights(*(weight.double() for weight in weights.tensors))
     ours, references = [], []
-    # The terms of one number can cancel, so errors of points that are alone are compared with the largest of many values.
+    # The terms of one number can cancel, so errors of single points are compared with the largest of many values.
     for _ in range(64 if count == 1 else 1):
         points = well_posed(
             make_points(rng, count + 40, features, channels, views, own_share is not None), weights, count
