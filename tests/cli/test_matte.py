@@ -31,6 +31,7 @@ def contents(capture: Path) -> dict[str, bytes]:
         (("--method", "rvm"), "--rvm: expected a network file for --method rvm, got none; pass --rvm FILE"),
         (("--workers", "0"), "--workers: expected at least 1, got 0"),
         (("--views", "nobody"), "--views: expected camera names among"),
+        (("--test-views", "nobody"), "--test-views: expected camera names among"),
     ],
 )
 def test_wrong_options_are_one_line(
@@ -52,6 +53,14 @@ def test_masks_of_the_capture_are_used(ball_capture: Path, tmp_path: Path, capsy
     assert "the capture has masks, so no mattes were made" in capsys.readouterr().out
     assert not (capture / ".fourd" / "mattes").exists()
     assert len(list((capture / ".fourd" / "plates").glob("*.png"))) == 8
+    assert main(["matte", str(capture), "--test-views", "nobody"]) == 2
+    assert "--test-views: expected camera names among" in capsys.readouterr().err
+
+
+def test_a_folder_without_cameras_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a traceback when a camera of an empty folder is named: no name is similar to it."""
+    assert main(["matte", str(tmp_path), "--test-views", "03"]) == 2
+    assert "--test-views: expected a capture with cameras, got one without" in capsys.readouterr().err
 
 
 def stop_when_exists(path: Path, how: signal.Signals, command: list[str]) -> int:

@@ -196,8 +196,8 @@ def select_views(views: Sequence[str] | None, names: Sequence[str], option: str 
     minus sign in front, as in -05, all cameras except the named ones are selected. No camera name starts with one.
 
     Raises:
-        UserError: if a name is unknown, or no camera is selected. For an unknown name, the message suggests the most
-            similar camera name.
+        UserError: if a name is unknown, no camera is selected, or there is none. For an unknown name, the message
+            suggests the most similar camera name.
     """
     if views is None:
         return list(names)
@@ -206,6 +206,11 @@ def select_views(views: Sequence[str] | None, names: Sequence[str], option: str 
         if len(left_out) == len(names):
             raise UserError("--exclude-views: expected at least one camera that is left, got all cameras; name fewer")
         return [name for name in names if name not in left_out]
+    if not names:
+        raise UserError(
+            f"{option}: expected a capture with cameras, got one without; a capture has images/CAM/, intri.yml and "
+            "extri.yml (fourd import makes one from other recordings)"
+        )
     views = [_by_number(view, names) for view in views]
     for view in views:
         if view not in names:
