@@ -10,6 +10,10 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 NATIVE := $(shell find csrc -type f -not -path 'csrc/tests/*' -not -path 'csrc/fuzz/*')
 
+# Modules are compiled at their first import (see PIP below). With this variable, which some containers set, every process
+# would compile them anew: the tests start hundreds of processes.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help install install-locked demo test test-slow lint docs clean sanitize sanitize-address sanitize-thread count
 .PHONY: fuzz fuzz-readers fuzz-kernels
 

@@ -4,6 +4,7 @@ with the same seed.
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 import os
 import secrets
@@ -33,6 +34,13 @@ def pytest_configure() -> None:
     os.environ.setdefault(SEED, str(secrets.randbits(32)))
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_finish() -> None:
+    """Exclude the modules and the collected tests, which live as long as the process, from garbage collections. Each of
+    the many collections would visit these millions of objects again."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_report_header() -> str:
