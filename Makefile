@@ -11,7 +11,7 @@ STAMP := $(VENV)/.installed
 NATIVE := $(shell find csrc -type f -not -path 'csrc/tests/*' -not -path 'csrc/fuzz/*')
 
 # Modules are compiled at their first import (see PIP below). With this variable, which some containers set, every process
-# would compile them anew: the tests start hundreds of processes.
+# would compile them again: the tests start hundreds of processes.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help install install-locked demo test test-slow lint docs clean sanitize sanitize-address sanitize-thread count

@@ -6,7 +6,9 @@ Importing this package loads neither native modules nor torch. The names in ``__
   :class:`TrainConfig` and of :class:`MatteSettings`. :func:`open_run` opens a trained run.
 - :func:`open_capture` reads the cameras, images and mattes of a capture.
 - :func:`open_scene` reads a ``.4dv`` scene, and :class:`Player` draws its frames. Neither needs torch.
-- :func:`render_points` is the differentiable point renderer, for a :class:`Camera`, which :func:`look_at` makes.
+- :func:`orbit` and :func:`spiral` return camera paths around a scene or a capture.
+- :func:`render_points` is the differentiable point renderer, for a :class:`Camera`, which :func:`look_at` or
+  :meth:`Camera.from_fov` makes.
 - :class:`UserError` is raised for an error that the user can cause.
 """
 
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from fourd.rendering import render_points
     from fourd.scene import open_scene
     from fourd.scene.player import Player
+    from fourd.viewer.navigation.paths import orbit, spiral
 
 __all__ = [
     "Camera",
@@ -39,7 +42,9 @@ __all__ = [
     "open_capture",
     "open_run",
     "open_scene",
+    "orbit",
     "render_points",
+    "spiral",
     "train",
 ]
 
@@ -56,7 +61,9 @@ __getattr__, __dir__ = lazy_names(
         "open_capture": "recording.capture",
         "open_run": "reconstruction.training.run",
         "open_scene": "scene",
+        "orbit": "viewer.navigation.paths",
         "render_points": "rendering",
+        "spiral": "viewer.navigation.paths",
         "train": "pipeline.library",
     },
 )

@@ -16,6 +16,23 @@ def test_point_on_the_axis_projects_to_the_principal_point() -> None:
     np.testing.assert_allclose(depth[0], np.sqrt(14))
 
 
+def test_the_field_of_view_spans_the_height() -> None:
+    """Catches a field of view that is taken as horizontal, or as half of the angle, and a default pose that is not the
+    identity."""
+    camera = Camera.from_fov(60, 200, 100)
+    pixels, _ = camera.project(np.array([[0, np.tan(np.radians(30)), 1], [0, 0, 2]]))
+    np.testing.assert_allclose(pixels, [[100, 100], [100, 50]], atol=1e-9)
+    np.testing.assert_allclose(camera.rotation, np.eye(3), atol=1e-12)
+    placed = Camera.from_fov(60, 200, 100, centre=(3, -2, 1), target=(0, 0, 0), up=(0, 0, 1))
+    np.testing.assert_allclose(placed.centre, [3, -2, 1], atol=1e-12)
+    np.testing.assert_allclose(placed.project(np.zeros((1, 3)))[0], [[100, 50]], atol=1e-9)
+    for angle in (0, 180, np.nan):
+        with pytest.raises(ValueError, match="fov_y: expected degrees between 0 and 180"):
+            Camera.from_fov(angle, 200, 100)
+    with pytest.raises(ValueError, match="target: expected a point that differs"):
+        Camera.from_fov(60, 200, 100, target=(0, 0, 0))
+
+
 def test_unprojection_is_the_inverse_of_projection() -> None:
     """Catches a transposed rotation, and depths along the ray instead of along the optical axis."""
     camera = look_at(np.array([3.0, -2, 1]), np.zeros(3), np.array([0.0, 0, 1]), INTRINSICS, 64, 48)

@@ -86,6 +86,34 @@ class Camera:
                 )
             object.__setattr__(self, "distortion", distortion if distortion.any() else None)
 
+    @classmethod
+    def from_fov(
+        cls,
+        fov_y: float,
+        width: int,
+        height: int,
+        *,
+        centre: Sequence[float] | Array = (0.0, 0.0, 0.0),
+        target: Sequence[float] | Array = (0.0, 0.0, 1.0),
+        up: Sequence[float] | Array = (0.0, -1.0, 0.0),
+    ) -> Camera:
+        """Return a camera with square pixels whose principal point is the centre of the image.
+
+        Args:
+            fov_y: vertical field of view in degrees, between 0 and 180.
+            width, height: size of the image in pixels.
+            centre, target, up: the pose (:func:`look_at`), vectors (3,) in world coordinates. With the default values,
+                the camera axes are the world axes.
+
+        Raises:
+            ValueError: if ``fov_y`` is out of range, or ``up`` is parallel to the viewing direction.
+        """
+        if not 0 < fov_y < 180:
+            raise ValueError(f"fov_y: expected degrees between 0 and 180, got {fov_y}")
+        focal = height / 2 / float(np.tan(np.radians(fov_y) / 2))
+        intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+        return look_at(centre, target, up, intrinsics, width, height)
+
     @property
     def centre(self) -> Array:
         """Position of the camera in the world, (3,)."""
@@ -143,15 +171,26 @@ class Camera:
         return replace(self, intrinsics=intrinsics, width=width, height=height)
 
 
-def look_at(centre: Array, target: Array, up: Array, intrinsics: Array, width: int, height: int) -> Camera:
+def look_at(
+    centre: Sequence[float] | Array,
+    target: Sequence[float] | Array,
+    up: Sequence[float] | Array,
+    intrinsics: Array,
+    width: int,
+    height: int,
+) -> Camera:
     """Return a camera at ``centre`` that points at ``target``, with ``up`` towards the top of the image.
 
     ``centre``, ``target`` and ``up`` are vectors (3,) in world coordinates. Raises ValueError if ``up`` is parallel
-    to the viewing direction.
+    to the viewing direction, or ``target`` equals ``centre``.
     """
+    centre = np.asarray(centre, dtype=np.float64)
     forward = np.asarray(target, dtype=np.float64) - centre
-    forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, up)
+    distance = float(np.linalg.norm(forward))
+    if distance == 0:
+        raise ValueError("target: expected a point that differs from the camera's centre")
+    forward = forward / distance
+    right = np.cross(forward, np.asarray(up, dtype=np.float64))
     length = float(np.linalg.norm(right))
     if length < 1e-9:
         raise ValueError("up: expected a direction that is not parallel to the viewing direction")

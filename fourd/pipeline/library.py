@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from fourd.base.progress import Terminal
@@ -12,6 +13,7 @@ from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.reconstruction.training.cameras.selection import with_test_split
 from fourd.reconstruction.training.config import TrainConfig
+from fourd.reconstruction.training.loop import TrainSummary
 from fourd.reconstruction.training.run import Run, open_run
 from fourd.recording.importing.importer import ImportOptions
 from fourd.recording.matting.sequence import MatteSettings
@@ -31,6 +33,7 @@ def make(
     workers: int = 1,
     device: DeviceName = "auto",
     quiet: bool = False,
+    on_step: Callable[[TrainSummary], object] | None = None,
 ) -> RunSummary:
     """Make a scene file from videos or a capture, as ``fourd make`` does. A repeated call resumes an interrupted one.
 
@@ -46,13 +49,14 @@ def make(
             process imports the main module.
         device: device that trains. "auto" is a GPU if torch and the kernels of fourd can use one, otherwise the CPU.
         quiet: whether to print no progress.
+        on_step: function that is called after each training step; see :func:`train`.
 
     Returns the measured quality of the run, and warnings about it.
 
     Raises:
         UserError: if the input is invalid, or the folder of intermediate results belongs to something else.
     """
-    context = Context(Terminal(quiet=quiet), workers, device=device)
+    context = Context(Terminal(quiet=quiet), workers, device=device, on_step=on_step)
     return make_scene(
         Path(source),
         Path(out),
@@ -72,6 +76,7 @@ def train(
     workers: int = 1,
     device: DeviceName = "auto",
     quiet: bool = False,
+    on_step: Callable[[TrainSummary], object] | None = None,
 ) -> Run:
     """Train a run on a capture with masks or mattes, as ``fourd train`` does.
 
@@ -83,6 +88,8 @@ def train(
         workers: number of processes that prepare the training; see :func:`make`.
         device: device that trains; see :func:`make`.
         quiet: whether to print no progress.
+        on_step: function that is called after each training step with the number of steps, the training time in seconds
+            and the PSNR of the training views in dB. If it raises an exception, training ends with this exception.
 
     Returns the trained run: its config, its capture, and its training and held-out cameras.
 
@@ -91,7 +98,7 @@ def train(
     """
     capture, out = Path(capture), Path(out)
     require_new_run(out)
-    context = Context(Terminal(quiet=quiet), workers, device=device)
+    context = Context(Terminal(quiet=quiet), workers, device=device, on_step=on_step)
     selected = with_test_split(config or TrainConfig(), capture, context.log)
     Runner(context).run(stages_to_run(RunRequest(capture, out, selected)))
     return open_run(out)

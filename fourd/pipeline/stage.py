@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
     from fourd.reconstruction.training.distributed.process_group import ProcessGroup
+    from fourd.reconstruction.training.loop import TrainSummary
     from fourd.rendering.ops.device_name import DeviceName
 
 Files = TypeVar("Files", bound="DataclassInstance")
@@ -42,12 +43,14 @@ class Context:
         group: the ranks (processes) that train together. All ranks execute the stages that train, and only rank 0
             executes the other stages. If None, this process works alone.
         device: device that trains.
+        on_step: function that is called after each training step, or None.
     """
 
     console: Console = field(default_factory=lambda: Terminal(quiet=True))
     workers: int = 1
     group: ProcessGroup | None = None
     device: DeviceName = "cpu"
+    on_step: Callable[[TrainSummary], object] | None = None
 
     @property
     def track(self) -> Track:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from threading import Lock
 from types import TracebackType
@@ -63,6 +64,17 @@ class Scene:
     def manifest(self) -> SceneManifest:
         return self._reader.manifest
 
+    def __repr__(self) -> str:
+        manifest = self.manifest
+        return (
+            f"<Scene {self.path}: kind {manifest.kind}, {len(self)} frames at {manifest.fps:g} per second, "
+            f"{len(manifest.names)} cameras>"
+        )
+
+    def __iter__(self) -> Iterator[BakedFrame]:
+        """Yield the frames in order. Frames that are no longer cached are read again."""
+        return (self.frame(index) for index in range(len(self)))
+
     def __len__(self) -> int:
         return self.manifest.frame_count
 
@@ -97,8 +109,8 @@ class Scene:
 
     def render(
         self,
-        camera: Camera,
-        frame: int,
+        camera: Camera | str,
+        frame: int = 0,
         *,
         layers: int | None = None,
         background: NDArray[np.float32] | None = None,
@@ -107,7 +119,7 @@ class Scene:
         """Render a frame.
 
         Args:
-            camera: a pinhole camera without lens distortion.
+            camera: a pinhole camera without lens distortion, or the name of a camera of the capture, such as "03".
             frame: 0-based index of the frame.
             layers: maximum number of points that are composited per pixel. If ``layers`` is None, the manifest's value
                 is used.
@@ -118,9 +130,17 @@ class Scene:
             IndexError: if the scene has no such frame. UserError: if the file is damaged.
             TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
         """
+        view = self.camera(camera) if isinstance(camera, str) else camera
         return render_frame(
-            self.frame(frame), camera, self.manifest, layers=layers, background=background, threads=threads
+            self.frame(frame), view, self.manifest, layers=layers, background=background, threads=threads
         )
+
+    def camera(self, name: str) -> Camera:
+        """Return the camera of the capture with this name. Raises ValueError, with the names, if there is none."""
+        names = self.manifest.names
+        if name not in names:
+            raise ValueError(f"camera: expected one of the names {', '.join(names)}, got '{name}'")
+        return self.manifest.camera(name)
 
 
 def render_frame(

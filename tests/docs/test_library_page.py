@@ -23,3 +23,4 @@ def test_the_programs_run(tmp_path: Path, ball_capture: Path, monkeypatch: pytes
     assert names["rgba"].shape[2] == 4  # type: ignore[attr-defined]
     assert float(names["xyz"].grad.abs().sum()) > 0  # type: ignore[attr-defined]
     assert list((tmp_path / "run").glob("checkpoints/*"))
+    assert [steps for steps, _, _ in names["curve"]] == [1, 2, 3, 4, 5]  # type: ignore[attr-defined]

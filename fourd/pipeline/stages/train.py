@@ -91,7 +91,7 @@ def train_run(folder: Path, lpips_weights: Path | None, config: TrainConfig, con
         try:
             trainer = Trainer(run, lpips, context.console, budget, group, device)
             with closing(trainer.frames):
-                summary = trainer.train()
+                summary = trainer.train(context.on_step)
         except torch.OutOfMemoryError as error:
             reason = one_line(error, MAX_REASON)
             raise UserError(

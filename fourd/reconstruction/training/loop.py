@@ -59,7 +59,8 @@ MAX_VALIDATION_VIEWS = 4
 
 @dataclass(frozen=True)
 class TrainSummary:
-    """Result of a training run: total number of steps, total time in seconds, and smoothed PSNR in dB."""
+    """State or result of a training run: number of steps, training time in seconds, and smoothed PSNR of the training
+    views in dB."""
 
     steps: int
     seconds: float
@@ -119,8 +120,8 @@ class Trainer:
         self.renderer = ModelRenderer(self.scene, self.held_out.training, run.focus, run.config.train.pixel_filter)
         self._saved_step = self.done if saved is not None else -1
 
-    def train(self) -> TrainSummary:
-        """Train until the budget is spent.
+    def train(self, on_step: Callable[[TrainSummary], object] | None = None) -> TrainSummary:
+        """Train until the budget is spent. ``on_step`` is called after each training step, outside the time budget.
 
         Ctrl-C is handled after the current training step, so that the checkpoint never contains a half-finished step. A
         second Ctrl-C ends training at once, without a new checkpoint. Between steps, the loop also handles requests
@@ -135,7 +136,7 @@ class Trainer:
                 task = progress.add_task("train", total=1.0, note="")
                 show = partial(progress.update, task)
                 with DeferredInterrupt() as interrupt:
-                    self._loop(log, lambda note: show(completed=self._spent(), note=note), interrupt, session)
+                    self._loop(log, lambda note: show(completed=self._spent(), note=note), interrupt, session, on_step)
                 log.close()
                 self._checkpoint()
                 if self.group.is_first and self.held_out.is_test_due(self.done):
@@ -150,6 +151,7 @@ class Trainer:
         show: Callable[[str], None],
         interrupt: DeferredInterrupt,
         session: LiveSession | NoSession,
+        on_step: Callable[[TrainSummary], object] | None,
     ) -> None:
         trimmer = HeapTrimmer(self.scene.resident_bytes)
         last_save, last_validation = self.seconds, self.seconds
@@ -160,6 +162,8 @@ class Trainer:
             trimmer.after_step()
             self.seconds += self.group.longest(time.monotonic() - started)
             show(self._describe())
+            if on_step is not None:
+                on_step(TrainSummary(self.done, self.seconds, self.psnr))
             if self.held_out.is_release_due(self._spent()):
                 trimmer.trim()
                 self._release_camera()
