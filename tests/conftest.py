@@ -59,10 +59,14 @@ def _process_stays_as_it_was() -> Iterator[None]:
     """A test that leaves gradients disabled fails here, because all later tests in its process that train would fail.
 
     Priorities are restored: commands that show a run lower the priority of their process, and SVT-AV1 gives the thread
-    that encodes real-time priority if the process runs as root. Tests in the other processes would starve.
+    that encodes real-time priority if the process runs as root. Tests in the other processes would starve. The number
+    of OpenMP threads is restored, too: the package spz sets it to the number of cores. The idle threads of all later
+    tests would then use most of the processor's time.
     """
+    threads = torch.get_num_threads()
     niceness = os.getpriority(os.PRIO_PROCESS, 0) if hasattr(os, "getpriority") else 0
     yield
+    torch.set_num_threads(threads)
     if hasattr(os, "sched_getscheduler"):
         if os.sched_getscheduler(0) != os.SCHED_OTHER:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
