@@ -18,6 +18,11 @@ fourd_kernel(edge_gradients
   BINDING binding.cpp
   CUDA_BINDING cuda/binding.cpp)
 
+fourd_kernel(encoder
+  CPU cpu/backward.cpp cpu/forward.cpp cpu/weight_sums.cpp cpu/weights.cpp
+  DISPATCH cpu/loops.cpp WIDEST avx512 TOLERANT
+  BINDING binding.cpp)
+
 fourd_kernel(hashgrid
   CPU cpu/encode.cpp
   DISPATCH cpu/loops.cpp WIDEST avx2 TOLERANT
@@ -115,6 +120,11 @@ fourd_kernel(splat_triangles
   CUDA cuda/render.cu
   BINDING binding.cpp
   CUDA_BINDING cuda/binding.cpp)
+
+fourd_kernel(step_images
+  CPU cpu/step_images.cpp
+  DISPATCH cpu/loops.cpp WIDEST avx2 EXACT
+  BINDING binding.cpp)
 
 fourd_kernel(stylize
   CPU cpu/stylize.cpp

@@ -321,6 +321,7 @@ int main(int count, char** arguments) {
             run_hashgrid(seed, simd);
             run_blend(seed, simd);
             fourd::tests::run_heads(seed, simd);
+            fourd::tests::run_encoder(seed, simd);
             fourd::tests::run_moves(seed);
             run_play(seed, simd);
             run_shade(seed, simd);

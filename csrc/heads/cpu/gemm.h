@@ -1,28 +1,10 @@
 // Products of small matrices for one block of points. A dispatched file (common/dispatch.h) includes this file inside
 // its namespace.
 
-#if defined(__AVX512F__)
-constexpr int kNative = 16, kTileRows = 8;
-#elif defined(__AVX__)
-constexpr int kNative = 8, kTileRows = 4;
-#else
-constexpr int kNative = 4, kTileRows = 4;
-#endif
+#include "common/native_vector.inc"
+
+constexpr int kTileRows = kNative == 16 ? 8 : 4;
 static_assert(kPad % kNative == 0, "rows are whole vectors");
-
-#if defined(__GNUC__)
-typedef float Vector __attribute__((vector_size(4 * kNative)));
-
-FOURD_INLINE void multiply_add(float a, const Vector& b, Vector& sum) { sum += a * b; }
-#else
-struct Vector {
-    float lane[kNative];
-};
-
-FOURD_INLINE void multiply_add(float a, const Vector& b, Vector& sum) {
-    for (int i = 0; i < kNative; ++i) sum.lane[i] += a * b.lane[i];
-}
-#endif
 
 // A matrix whose element (row, column) is at[row * row_step + column * column_step].
 struct Strided {

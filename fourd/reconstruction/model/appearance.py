@@ -10,6 +10,7 @@ from fourd.reconstruction.model.config import ModelConfig
 from fourd.reconstruction.model.spherical_harmonics import SH_TERMS, sh_basis
 from fourd.rendering.ops.blend.op import blend_logits
 from fourd.rendering.ops.blend.reference import LOGIT_RANGE
+from fourd.rendering.ops.encoder.op import encode_images
 
 MIN_VISIBILITY = 1e-3
 """Visibility weights below this value are set to 0. The threshold limits the ratio between the weights of two views, so
@@ -36,14 +37,7 @@ class ImageEncoder(nn.Module):
         self.out = nn.Conv2d(16, out_features, 3, padding=1)
 
     def forward(self, images: Tensor) -> Tensor:
-        # In this memory format, the channels of a pixel are adjacent, also in the feature images that the convolutions
-        # return. The kernel that samples the features reads all channels of a pixel together.
-        images = images.contiguous(memory_format=torch.channels_last)
-        full = self.at_full(functional.avg_pool2d(images, self.stride) if self.stride > 1 else images)
-        half = self.at_half(full)
-        quarter = self.at_quarter(half)
-        half = self.lateral_half(half) + _upsample(quarter)
-        return self.out(self.lateral_full(full) + _upsample(self.reduce(half)))
+        return encode_images(images, list(self.parameters()), self.stride)
 
 
 class BlendHead(nn.Module):
@@ -161,7 +155,3 @@ def blend(logits: Tensor, visibility: Tensor, colours: Tensor, view_weights: Ten
 
 def _convolution(channels_in: int, channels_out: int, stride: int = 1) -> nn.Sequential:
     return nn.Sequential(nn.Conv2d(channels_in, channels_out, 3, stride=stride, padding=1), nn.ReLU())
-
-
-def _upsample(features: Tensor) -> Tensor:
-    return functional.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)

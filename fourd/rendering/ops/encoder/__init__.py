@@ -1,0 +1,1 @@
+"""The image encoder as one operator (``csrc/encoder``)."""
