@@ -14,6 +14,7 @@ from torch.nn import functional
 from fourd.base.cameras import Camera
 from fourd.reconstruction.model.sources import SourceViews
 from fourd.rendering import render_points
+from fourd.rendering.ops.loading import as_array
 from fourd.rendering.ops.points.arrays import render_points_numpy
 
 SURFACE_LAYERS = 4
@@ -38,7 +39,7 @@ def surface_depth(points: SizedPoints, camera: Camera, near: float) -> Tensor:
         # NumPy is faster here: after a torch operation, torch's threads busy-wait for the next one and slow down the
         # renderer's threads.
         ones = np.ones((points.xyz.shape[0], 1), np.float32)
-        arrays = (points.xyz.numpy(), ones, points.radius.numpy(), points.density.numpy())
+        arrays = (as_array(points.xyz), ones, as_array(points.radius), as_array(points.density))
         _, alpha, depth = render_points_numpy(*arrays, camera, layers=SURFACE_LAYERS, near=near)
         return torch.from_numpy(np.where(alpha > 0.5, depth, np.float32(np.inf)))
     colour = torch.ones_like(points.radius)[:, None]
@@ -83,4 +84,6 @@ def with_surface_depth(sources: SourceViews, points: SizedPoints, occlusion: boo
     if not occlusion:
         return sources
     depths = [surface_depth(points, camera, near) for camera in sources.cameras]
+    if depths[0].device.type == "cpu":
+        return replace(sources, depth=torch.from_numpy(np.stack([as_array(depth) for depth in depths])))
     return replace(sources, depth=torch.stack(depths))

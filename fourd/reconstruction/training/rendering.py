@@ -82,16 +82,10 @@ def composite_samples(
     """Render all clouds together, with ``samples`` x ``samples`` evenly spaced samples in each pixel.
 
     Returns:
-        features (H, W, 4) as in :func:`composite`, and alpha (H, W). Features and alpha are means over the samples of
-        each pixel.
+        features (samples * H, samples * W, 4) as in :func:`composite`, and alpha (samples * H, samples * W).
     """
     render = composite(clouds, viewer if samples == 1 else viewer.rescale(samples), layers, near)
-    if samples == 1:
-        return render.features, render.alpha
-    # With a batch axis, torch recognises that the channels of a pixel are adjacent, and does not copy them first.
-    channels = torch.cat([render.features, render.alpha[..., None]], 2).permute(2, 0, 1)[None]
-    means = torch.nn.functional.avg_pool2d(channels, samples)[0].permute(1, 2, 0)
-    return means[..., :-1], means[..., -1]
+    return render.features, render.alpha
 
 
 def visible_points(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -16,7 +16,7 @@ from fourd.reconstruction.training.cameras.refinement import Refinement
 from fourd.reconstruction.training.config import TrainConfig
 from fourd.reconstruction.training.distributed.process_group import ALONE, ProcessGroup
 from fourd.reconstruction.training.losses.lpips import LPIPS
-from fourd.reconstruction.training.losses.term import RenderedStep, weighted_values
+from fourd.reconstruction.training.losses.term import RenderedStep, term_values
 from fourd.reconstruction.training.points.dense_adam import DenseAdam
 from fourd.reconstruction.training.points.densification import accumulate_gradient_magnitudes
 from fourd.reconstruction.training.points.frame_points import FramePoints
@@ -27,6 +27,9 @@ from fourd.reconstruction.training.points.smoothing import smooth_surface
 from fourd.reconstruction.training.rendering import composite_samples
 from fourd.reconstruction.training.scenes.scene import OptimizedPoints, Target, TrainingScene
 from fourd.reconstruction.training.schedule import StepSample
+from fourd.rendering.ops.loading import as_array
+from fourd.rendering.ops.step_images.op import add_background, clamped_error, resolve_samples
+from fourd.rendering.ops.step_images.reference import average_samples, on_background
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,12 @@ class Stepper:
         self.refinement = refinement
         self.group = group
         self.terms = scene.loss_terms(lpips, refinement)
+        self._weights = {term.name: term.weight for term in self.terms}
+        # The gradient of each term in the sum of the weighted terms.
+        self._upstream = {
+            name: torch.tensor(weight, dtype=torch.float32, device=scene.views.device)
+            for name, weight in self._weights.items()
+        }
         planes, others = parameters_by_kind(scene.models.values())
         self.optimizer = DenseAdam(
             [
@@ -86,13 +95,12 @@ class Stepper:
         target = self.scene.target(sample)
         evaluated = self.scene.evaluate_step(points, time, sample, target.camera, number)
         colour, rendered = self._render(evaluated, target, time, sample, number)
-        terms = weighted_values(self.terms, rendered)
-        # All terms are read at once, because each reading waits for a GPU.
-        stacked = torch.stack(list(terms.values()))
-        values = dict(zip(terms, stacked.detach().tolist(), strict=True))
+        terms = term_values(self.terms, rendered)
+        found = _read(list(terms.values()))
+        values = {name: self._weights[name] * value for name, value in zip(terms, found, strict=True)}
         _require_finite(values, number)
         before = [each.parameters["xyz"].detach() for each in evaluated]
-        self._update(evaluated, stacked.sum(), rate_factor)
+        self._update(evaluated, terms, rate_factor)
         with torch.no_grad():
             if self.config.smoothing > 0 and target.matte is not None:
                 rates = self.scene.xyz_rate(evaluated[0], rate_factor)
@@ -102,10 +110,10 @@ class Stepper:
                 revert_moves_out_of_silhouettes(points, evaluated[0].rows, before[0], views)
             for each, start in zip(evaluated, before, strict=True):
                 revert_moves_before_near(each.cloud, each.rows, start, target.camera, self.scene.least_depth(each))
-                each.cloud.radius[each.rows] = each.evaluated.radius
-                each.cloud.density[each.rows] = each.evaluated.density
+                each.cloud.radius.index_copy_(0, each.rows, each.evaluated.radius)
+                each.cloud.density.index_copy_(0, each.rows, each.evaluated.density)
             shown, truth = (rendered.prediction, rendered.truth) if target.fills_picture else (colour, target.rgb)
-            error = float((shown.clamp(0, 1) - truth).square().mean())
+            error = clamped_error(shown, truth)
         psnr = -10 * math.log10(max(error, 1e-10))
         return StepResult(values, psnr)
 
@@ -127,13 +135,15 @@ class Stepper:
         clouds = [each.renderable for each in evaluated]
         if self.refinement is not None:
             clouds = self.refinement.attach_camera_gradient(clouds, sample.target)
-        features, alpha = composite_samples(clouds, target.camera, sample.layers, self.scene.near, self.config.samples)
-        colour, coverage = features[..., :3], features[..., 3]
-        if self.refinement is not None:
-            colour = self.refinement.recolour(colour, alpha, sample.target)
-        background_colour = torch.from_numpy(sample.background_colour).to(colour)
-        prediction = colour + (1 - alpha)[..., None] * background_colour
-        truth = target.rgb + (1 - target.known)[..., None] * background_colour
+        samples, behind = self.config.samples, sample.background_colour.tolist()
+        features, alpha = composite_samples(clouds, target.camera, sample.layers, self.scene.near, samples)
+        if self.refinement is None:
+            colour, coverage, prediction = resolve_samples(features, alpha, behind, samples)
+        else:
+            means, alpha = average_samples(features, alpha, samples)
+            colour, coverage = self.refinement.recolour(means[..., :3], alpha, sample.target), means[..., 3]
+            prediction = on_background(colour, alpha, behind)
+        truth = add_background(target.rgb, target.known, behind)
         if target.fills_picture:
             prediction = torch.where(target.known[..., None] > 0, prediction, truth)
         first = evaluated[0].evaluated
@@ -142,10 +152,9 @@ class Stepper:
             number, time, sample, prediction, truth, coverage, target.matte, sh, first.displacement
         )
 
-    def _update(self, evaluated: Sequence[OptimizedPoints], loss: Tensor, rate_factor: float) -> None:
-        _set_gradients(
-            loss, [*self.dense_parameters, *(leaf for each in evaluated for leaf in each.parameters.values())]
-        )
+    def _update(self, evaluated: Sequence[OptimizedPoints], terms: Mapping[str, Tensor], rate_factor: float) -> None:
+        leaves = [*self.dense_parameters, *(leaf for each in evaluated for leaf in each.parameters.values())]
+        set_gradients(list(terms.values()), [self._upstream[name] for name in terms], leaves)
         self.group.average_gradients(self.dense_parameters)
         for group in self.optimizer.param_groups:
             group["lr"] = group["base"] * rate_factor * self.group.rate_factor
@@ -172,12 +181,24 @@ def parameters_by_kind(models: Collection[nn.Module]) -> tuple[list[nn.Parameter
     return [each for each in parameters if id(each) in planes], [each for each in parameters if id(each) not in planes]
 
 
-def _set_gradients(loss: Tensor, leaves: Sequence[Tensor]) -> None:
-    """Set the attribute ``grad`` of the leaves, as ``loss.backward()`` does for leaves without a gradient. In contrast
-    to ``backward()``, no operators are called for each leaf."""
+def set_gradients(terms: Sequence[Tensor], weights: Sequence[Tensor], leaves: Sequence[Tensor]) -> None:
+    """Set the attribute ``grad`` of the leaves to the gradient of the weighted sum of the terms, as ``backward()`` does
+    for leaves without a gradient. In contrast to ``backward()``, no operators are called for each leaf, nor for the
+    sum."""
     free = [leaf for leaf in leaves if leaf.requires_grad]
-    for leaf, gradient in zip(free, torch.autograd.grad(loss, free, allow_unused=True), strict=True):
+    used = [(term, weight) for term, weight in zip(terms, weights, strict=True) if term.requires_grad]
+    outputs, upstream = [term for term, _ in used], [weight for _, weight in used]
+    gradients = torch.autograd.grad(outputs, free, upstream, allow_unused=True)
+    for leaf, gradient in zip(free, gradients, strict=True):
         leaf.grad = gradient
+
+
+def _read(scalars: Sequence[Tensor]) -> list[float]:
+    """Return the values of tensors with one number each."""
+    if all(scalar.device.type == "cpu" for scalar in scalars):
+        return [float(as_array(scalar)) for scalar in scalars]
+    # All are read at once, because each reading waits for a GPU.
+    return [float(value) for value in torch.stack(list(scalars)).detach().tolist()]
 
 
 def _silhouettes(camera: Camera, matte: Tensor, points: OptimizedPoints) -> list[tuple[tuple[Camera, ...], Tensor]]:

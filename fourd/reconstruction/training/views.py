@@ -17,6 +17,7 @@ from fourd.reconstruction.training.cameras.rig import Rig
 from fourd.reconstruction.training.memory import array_outside_heap
 from fourd.recording.capture import Capture
 from fourd.rendering.ops.gpu import CPU
+from fourd.rendering.ops.step_images.op import convert_views, premultiply
 
 CROP_MARGIN_PX = 16
 SIZE_STEP_PX = 32
@@ -52,8 +53,7 @@ class View:
 
     def premultiplied(self, device: torch.device = CPU) -> tuple[Tensor, Tensor]:
         """Return RGB (H, W, 3) multiplied by the matte, and the matte (H, W), as float32 tensors in [0, 1]."""
-        matte = torch.from_numpy(self.matte).to(device) / 255
-        return torch.from_numpy(self.rgb).to(device) / 255 * matte[..., None], matte
+        return premultiply(self.rgb, self.matte, device)
 
 
 class ViewStore:
@@ -106,15 +106,7 @@ class ViewStore:
         views = [self.view(camera, frame) for camera in cameras]
         height = _round_up(max(view.rgb.shape[0] for view in views))
         width = _round_up(max(view.rgb.shape[1] for view in views))
-        padded_rgb = np.zeros((len(views), 3, height, width), np.uint8)
-        padded_mattes = np.zeros((len(views), height, width), np.uint8)
-        for i, view in enumerate(views):
-            rows, columns = view.matte.shape
-            padded_rgb[i, :, :rows, :columns] = view.rgb.transpose(2, 0, 1)
-            padded_mattes[i, :rows, :columns] = view.matte
-        # All views are converted by one operation, because calling an operation takes as long as converting a view.
-        images = torch.from_numpy(padded_rgb).to(self.device) / 255
-        mattes = torch.from_numpy(padded_mattes).to(self.device) / 255
+        images, mattes = convert_views([(view.rgb, view.matte) for view in views], (height, width), self.device)
         if self.rig.colours is not None:
             for i, view in enumerate(views):
                 rows, columns = view.matte.shape

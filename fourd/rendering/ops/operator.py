@@ -7,7 +7,14 @@ from inspect import signature
 from typing import Any
 
 import torch
+from torch import Tensor
 from torch.library import CustomOpDef
+
+
+def uninitialised(like: Tensor, *shape: int) -> Tensor:
+    """Return a tensor with the dtype and the device of another, whose values are not set. In contrast to
+    ``Tensor.new_empty`` and ``torch.empty_like``, this calls a single operator."""
+    return torch.empty(shape, dtype=like.dtype, device=like.device)
 
 
 def operator(

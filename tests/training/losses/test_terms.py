@@ -17,9 +17,10 @@ from fourd.reconstruction.training.losses.lpips import LPIPS, expected_shapes
 from fourd.reconstruction.training.losses.mask import MaskTerm
 from fourd.reconstruction.training.losses.residual import ResidualTerm
 from fourd.reconstruction.training.losses.similarity import SimilarityTerm
-from fourd.reconstruction.training.losses.term import RenderedStep, weighted_values
+from fourd.reconstruction.training.losses.term import RenderedStep, term_values
 from fourd.reconstruction.training.losses.terms import common_terms
 from fourd.reconstruction.training.schedule import StepSample
+from fourd.reconstruction.training.step import set_gradients
 
 SAMPLE = StepSample(0, 0, [1], np.ones(1, np.float32), np.zeros(3, np.float32), 8)
 
@@ -58,7 +59,7 @@ def test_terms_need_what_they_compare() -> None:
     images."""
     step = replace(rendered(side=10), matte=None, sh=None, displacement=None)
     terms = (ImageTerm("mse"), SimilarityTerm(1.0), MaskTerm(1.0), ResidualTerm(1.0, 0.1), HighShTerm(1.0))
-    assert list(weighted_values(terms, step)) == ["image"]
+    assert list(term_values(terms, step)) == ["image"]
 
 
 def test_high_sh_term_leaves_low_degrees_alone() -> None:
@@ -76,16 +77,20 @@ def test_terms_are_finite_if_no_point_is_visible() -> None:
     """Catches a training run that stops with NaN because the background occludes the whole foreground in one view."""
     step = replace(rendered(), sh=torch.zeros(0, 3, 16), displacement=torch.zeros(0, 3))
     terms = (ImageTerm("mse"), MaskTerm(1.0), ResidualTerm(1.0, 0.1), HighShTerm(1.0))
-    values = weighted_values(terms, step)
+    values = term_values(terms, step)
     assert list(values) == ["image", "mask"]
     assert all(value.isfinite() for value in values.values())
 
 
-def test_values_are_weighted() -> None:
-    """Catches a weight of a loss term that is ignored or applied twice."""
-    step = rendered()
-    values = weighted_values((MaskTerm(1.0),), step)["mask"], weighted_values((MaskTerm(0.3),), step)["mask"]
-    assert float(values[1]) == pytest.approx(0.3 * float(values[0]))
+def test_gradients_are_those_of_the_weighted_sum() -> None:
+    """Catches a weight of a loss term that is ignored or applied twice, and a term without a gradient that stops a
+    step."""
+    leaf, unused = torch.tensor([2.0, 3.0], requires_grad=True), torch.tensor(1.0, requires_grad=True)
+    terms = [leaf.square().sum(), torch.tensor(5.0), leaf.prod()]
+    set_gradients(terms, list(torch.tensor([0.5, 9.0, 10.0])), [leaf, unused, torch.tensor(1.0)])
+    assert leaf.grad is not None
+    assert leaf.grad.tolist() == pytest.approx([2 + 30, 3 + 20])
+    assert unused.grad is None
 
 
 def test_weight_zero_switches_a_term_off() -> None:

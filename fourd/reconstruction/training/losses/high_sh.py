@@ -8,6 +8,7 @@ from torch import Tensor
 
 from fourd.reconstruction.model.point_model import LOW_SH_TERMS
 from fourd.reconstruction.training.losses.term import RenderedStep
+from fourd.rendering.ops.step_images.op import mean_square
 
 
 @dataclass(frozen=True)
@@ -26,4 +27,4 @@ class HighShTerm:
 
     def value(self, step: RenderedStep) -> Tensor:
         assert step.sh is not None
-        return step.sh[..., LOW_SH_TERMS:].square().mean()
+        return mean_square(step.sh, first=LOW_SH_TERMS)

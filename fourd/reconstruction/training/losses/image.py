@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from fourd.reconstruction.training.losses.term import RenderedStep
+from fourd.rendering.ops.step_images.op import mean_square
 
 HUBER_DELTA = 0.1
 
@@ -27,4 +28,4 @@ class ImageTerm:
     def value(self, step: RenderedStep) -> Tensor:
         if self.penalty == "huber":
             return functional.huber_loss(step.prediction, step.truth, delta=HUBER_DELTA)
-        return functional.mse_loss(step.prediction, step.truth)
+        return mean_square(step.prediction, step.truth)

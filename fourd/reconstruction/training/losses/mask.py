@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from torch import Tensor
-from torch.nn import functional
 
 from fourd.reconstruction.training.losses.term import RenderedStep
+from fourd.rendering.ops.step_images.op import mean_square
 
 
 @dataclass(frozen=True)
@@ -22,4 +22,4 @@ class MaskTerm:
 
     def value(self, step: RenderedStep) -> Tensor:
         assert step.matte is not None
-        return functional.mse_loss(step.coverage, step.matte)
+        return mean_square(step.coverage, step.matte)

@@ -60,6 +60,7 @@ class LossTerm(Protocol):
         """Compute the term's value without its weight, as a differentiable scalar tensor."""
 
 
-def weighted_values(terms: Iterable[LossTerm], step: RenderedStep) -> dict[str, Tensor]:
-    """Compute the weighted values of the loss terms that apply to the step, by name. The training loss is their sum."""
-    return {term.name: term.weight * term.value(step) for term in terms if term.applies_to(step)}
+def term_values(terms: Iterable[LossTerm], step: RenderedStep) -> dict[str, Tensor]:
+    """Compute the values of the loss terms that apply to the step, by name. The training loss is their sum, weighted by
+    :attr:`LossTerm.weight`."""
+    return {term.name: term.value(step) for term in terms if term.applies_to(step)}

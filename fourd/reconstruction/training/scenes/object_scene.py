@@ -72,11 +72,11 @@ class ObjectScene:
         if self.config.model.appearance != "sh":
             views = self.views.sources(sample.sources, sample.frame).weighted(sample.source_weights)
             sources = with_surface_depth(views, points, self.config.model.occlusion, self.near)
-        leaves = {name: value[rows].requires_grad_() for name, value in points.parameters.items()}
+        leaves = {name: value.index_select(0, rows).requires_grad_() for name, value in points.parameters.items()}
         evaluated, colour = evaluate_in_view(
             self.model,
             leaves["xyz"],
-            points.spacing[rows],
+            points.spacing.index_select(0, rows),
             time,
             camera,
             sources,

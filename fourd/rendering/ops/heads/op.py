@@ -10,7 +10,7 @@ from torch import Tensor
 from fourd.rendering.ops.heads.layers import HeadSettings, HeadWeights
 from fourd.rendering.ops.heads.reference import evaluate_heads_reference
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
-from fourd.rendering.ops.operator import operator
+from fourd.rendering.ops.operator import operator, uninitialised
 
 SH_COEFFICIENTS = 48
 PADDING = 16
@@ -71,7 +71,7 @@ def evaluate_heads(
 def _empty_outputs(features: Tensor, weights: list[Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     count, hidden = features.shape[0], -(-weights[1].shape[0] // PADDING) * PADDING
     shapes = ((count,), (count,), (count, SH_COEFFICIENTS), (count, 3), (count, 3 * hidden))
-    radius, density, sh, colour, first = (features.new_empty(shape) for shape in shapes)
+    radius, density, sh, colour, first = (uninitialised(features, *shape) for shape in shapes)
     return radius, density, sh, colour, first
 
 
@@ -106,8 +106,8 @@ def _empty_gradients(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, list[Tensor]]:
     own_shape = (0, 3) if own is None else own.shape
     shapes = (features.shape, samples.shape, own_shape, xyz.shape)
-    to_features, to_samples, to_own, to_xyz = (features.new_empty(shape) for shape in shapes)
-    return to_features, to_samples, to_own, to_xyz, [weight.new_empty(weight.shape) for weight in weights]
+    to_features, to_samples, to_own, to_xyz = (uninitialised(features, *shape) for shape in shapes)
+    return to_features, to_samples, to_own, to_xyz, [uninitialised(weight, *weight.shape) for weight in weights]
 
 
 @operator("fourd::evaluate_heads_backward", outputs=_empty_gradients, devices=("cpu",))

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from fourd.rendering.ops.gpu import contiguous, cuda_unavailable_reason, load_gpu, uses_gpu_kernels
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
-from fourd.rendering.ops.operator import operator
+from fourd.rendering.ops.operator import operator, uninitialised
 from fourd.rendering.ops.planes.reference import sample_planes_reference
 
 MAX_PLANES_GPU = 64
@@ -128,12 +128,12 @@ _sample.register_autograd(_backward, setup_context=_setup)
 
 
 def _empty_samples(coordinates: Tensor, planes: Sequence[Tensor]) -> Tensor:
-    return coordinates.new_empty(coordinates.shape[0], len(planes) * planes[0].shape[2])
+    return uninitialised(coordinates, coordinates.shape[0], len(planes) * planes[0].shape[2])
 
 
 def _empty_gradients(
     coordinates: Tensor, planes: Sequence[Tensor], needs_coordinates: bool
 ) -> tuple[list[Tensor], Tensor]:
     """Allocate the gradients. If the coordinates need no gradient, their gradient is an empty tensor."""
-    grad_planes = [torch.empty_like(plane, memory_format=torch.contiguous_format) for plane in planes]
-    return grad_planes, coordinates.new_empty(coordinates.shape if needs_coordinates else (0, 4))
+    grad_planes = [uninitialised(plane, *plane.shape) for plane in planes]
+    return grad_planes, uninitialised(coordinates, *(coordinates.shape if needs_coordinates else (0, 4)))

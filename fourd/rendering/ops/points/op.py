@@ -13,7 +13,7 @@ from torch import Tensor
 
 from fourd.rendering.ops.gpu import uses_gpu_kernels
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
-from fourd.rendering.ops.operator import operator
+from fourd.rendering.ops.operator import operator, uninitialised
 from fourd.rendering.ops.points import cuda as gpu
 
 
@@ -110,9 +110,7 @@ def _backward(
 render.register_autograd(_backward, setup_context=_setup)
 
 
-@operator(
-    "fourd::point_visibility", outputs=lambda radius: torch.empty_like(radius, memory_format=torch.contiguous_format)
-)
+@operator("fourd::point_visibility", outputs=lambda radius: uninitialised(radius, *radius.shape))
 def visibility(
     xyz: Tensor,
     radius: Tensor,
@@ -125,7 +123,7 @@ def visibility(
     threads: int,
 ) -> Tensor:
     """Compute each point's maximum compositing weight (N,) over all pixels."""
-    out = torch.empty_like(radius, memory_format=torch.contiguous_format)
+    out = uninitialised(radius, *radius.shape)
     if uses_gpu_kernels(xyz):
         gpu.visibility((xyz, radius, density), camera, (width, height), layers, near, out)
         return out
@@ -144,19 +142,16 @@ def _check_layers(xyz: Tensor, layers: int) -> None:
 
 def _empty_image(features: Tensor, width: int, height: int) -> tuple[Tensor, Tensor, Tensor]:
     return (
-        features.new_empty(height, width, features.shape[1]),
-        features.new_empty(height, width),
-        features.new_empty(height, width),
+        uninitialised(features, height, width, features.shape[1]),
+        uninitialised(features, height, width),
+        uninitialised(features, height, width),
     )
 
 
 def _empty_gradients(
     xyz: Tensor, features: Tensor, radius: Tensor, density: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    layout = torch.contiguous_format
-    return (
-        torch.empty_like(xyz, memory_format=layout),
-        torch.empty_like(features, memory_format=layout),
-        torch.empty_like(radius, memory_format=layout),
-        torch.empty_like(density, memory_format=layout),
+    to_xyz, to_features, to_radius, to_density = (
+        uninitialised(each, *each.shape) for each in (xyz, features, radius, density)
     )
+    return to_xyz, to_features, to_radius, to_density

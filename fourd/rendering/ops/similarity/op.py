@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
-from fourd.rendering.ops.operator import operator
+from fourd.rendering.ops.operator import operator, uninitialised
 from fourd.rendering.ops.similarity.reference import WINDOW_PX, structural_similarity_reference
 
 
@@ -37,7 +37,7 @@ def structural_similarity(prediction: Tensor, target: Tensor) -> Tensor:
 
 @operator(
     "fourd::similarity",
-    outputs=lambda prediction, with_gradient: (prediction.new_empty(()), _empty_gradient(prediction, with_gradient)),
+    outputs=lambda prediction, with_gradient: (uninitialised(prediction), _empty_gradient(prediction, with_gradient)),
     devices=("cpu",),
 )
 def _similarity(prediction: Tensor, target: Tensor, with_gradient: bool) -> tuple[Tensor, Tensor]:
@@ -47,8 +47,9 @@ def _similarity(prediction: Tensor, target: Tensor, with_gradient: bool) -> tupl
     gradient = _empty_gradient(prediction, with_gradient)
     threads = thread_count(0, torch.get_num_threads())
     out = as_array(gradient) if with_gradient else None
-    value = load_native().similarity(as_array(prediction), as_array(target), threads, simd_name(), out)
-    return prediction.new_tensor(value), gradient
+    value = uninitialised(prediction)
+    as_array(value)[...] = load_native().similarity(as_array(prediction), as_array(target), threads, simd_name(), out)
+    return value, gradient
 
 
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
@@ -65,5 +66,4 @@ _similarity.register_autograd(_backward, setup_context=_setup)
 
 
 def _empty_gradient(prediction: Tensor, with_gradient: bool) -> Tensor:
-    like = prediction if with_gradient else prediction[:0]
-    return torch.empty_like(like, memory_format=torch.contiguous_format)
+    return uninitialised(prediction, *(prediction.shape if with_gradient else (0,)))

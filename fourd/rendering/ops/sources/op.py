@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fourd.rendering.ops.gpu import contiguous, cuda_unavailable_reason, load_gpu, uses_gpu_kernels
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
-from fourd.rendering.ops.operator import operator
+from fourd.rendering.ops.operator import operator, uninitialised
 from fourd.rendering.ops.sources.reference import sample_sources_reference
 
 MAX_VIEWS_GPU = 16
@@ -167,11 +167,11 @@ def _channels_last(features: Tensor | None) -> Tensor | None:
 def _empty_samples(xyz: Tensor, features: Tensor | None, images: Tensor) -> tuple[Tensor, Tensor]:
     views, count = images.shape[0], xyz.shape[0]
     channels = 3 + (0 if features is None else features.shape[1])
-    return xyz.new_empty(views, channels, count), xyz.new_empty(views, count)
+    return uninitialised(xyz, views, channels, count), uninitialised(xyz, views, count)
 
 
 def _empty_gradients(xyz: Tensor, features: Tensor | None, needs_features: bool) -> tuple[Tensor, Tensor]:
-    grad_xyz = torch.empty_like(xyz, memory_format=torch.contiguous_format)
+    grad_xyz = uninitialised(xyz, *xyz.shape)
     if features is None or not needs_features:
-        return grad_xyz, xyz.new_empty(0)
+        return grad_xyz, uninitialised(xyz, 0)
     return grad_xyz, torch.empty_like(features, memory_format=torch.channels_last)
