@@ -1,6 +1,6 @@
-// The feature maps of the image encoder. A map stores its channels as separate planes. Rows of a plane are separated by
-// one zero, and one row of zeros is above and below it, so that a convolution reads zeros outside the map. A convolution
-// is therefore a sum of products over one flat range of positions, where each weight has a fixed offset.
+// The feature maps of the image encoder. A map stores its channels as separate planes. A zero separates the rows of a
+// plane, and one row of zeros is above and below it, so that a convolution reads zeros outside the map. A convolution is
+// therefore a sum of products over one flat range of positions, where each weight has a fixed offset.
 #pragma once
 
 #include <cstddef>

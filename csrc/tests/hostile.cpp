@@ -322,6 +322,7 @@ int main(int count, char** arguments) {
             run_blend(seed, simd);
             fourd::tests::run_heads(seed, simd);
             fourd::tests::run_encoder(seed, simd);
+            fourd::tests::run_step_images(seed, simd);
             fourd::tests::run_moves(seed);
             run_play(seed, simd);
             run_shade(seed, simd);

@@ -59,20 +59,21 @@ class BackwardPass {
         for_bands(team_, count, at_.full, [&](int i, int from, int to, int) {
             const GradientMaps& to_maps = images[i].gradients;
             convolve_rows(loops_, network_.out, to_maps.out, to_maps.merged, from, to, {});
-            convolve_rows(loops_, network_.lateral, to_maps.merged, to_maps.full, from, to, {});
+            convolve_rows(loops_, network_.lateral, to_maps.merged, to_maps.full, from, to, band_input());
         });
         for_bands(team_, count, at_.half, [&](int i, int from, int to, int worker) {
             const GradientMaps& to_maps = images[i].gradients;
             loops_.upsampled_backward(to_maps.merged, to_maps.reduced_half, from, to, scratch(worker));
             close_rows(to_maps.reduced_half, from, to);
-            convolve_rows(loops_, network_.combined, to_maps.reduced_half, to_maps.half, from, to, {});
+            convolve_rows(loops_, network_.combined, to_maps.reduced_half, to_maps.half, from, to, band_input());
         });
         for_bands(team_, count, at_.quarter, [&](int i, int from, int to, int worker) {
             const GradientMaps& to_maps = images[i].gradients;
             loops_.upsampled_backward(to_maps.reduced_half, to_maps.reduced_quarter, from, to, scratch(worker));
             close_rows(to_maps.reduced_quarter, from, to);
-            convolve_rows(loops_, network_.reduce, to_maps.reduced_quarter, to_maps.quarter, from, to,
-                          masked(images[i].maps.quarter));
+            Finish finish = band_input();
+            finish.mask = &images[i].maps.quarter;
+            convolve_rows(loops_, network_.reduce, to_maps.reduced_quarter, to_maps.quarter, from, to, finish);
         });
         rectified(images, at_.quarter, network_.quarter, &GradientMaps::quarter, &GradientMaps::quarter1,
                   &SavedMaps::quarter1);
@@ -83,6 +84,12 @@ class BackwardPass {
     }
 
   private:
+    static Finish band_input() {
+        Finish out;
+        out.is_band_input = true;
+        return out;
+    }
+
     static Finish masked(const Map& mask) {
         Finish out;
         out.mask = &mask;
@@ -105,8 +112,8 @@ class BackwardPass {
     }
 
     // Computes the gradient of a rectified map from that of the convolution with stride 1 that reads it.
-    void rectified(const std::vector<Image>& images, const Level& level, const TapList& taps, Map GradientMaps::* from_map,
-                   Map GradientMaps::* to_map, Map SavedMaps::* mask) {
+    void rectified(const std::vector<Image>& images, const Level& level, const TapList& taps,
+                   Map GradientMaps::* from_map, Map GradientMaps::* to_map, Map SavedMaps::* mask) {
         for_bands(team_, static_cast<int>(images.size()), level, [&](int i, int from, int to, int) {
             const Image& image = images[i];
             convolve_rows(loops_, taps, image.gradients.*from_map, image.gradients.*to_map, from, to,

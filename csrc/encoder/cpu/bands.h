@@ -47,7 +47,8 @@ inline void close_rows(const Map& map, int from, int to) {
 struct Finish {
     const float* bias = nullptr;
     const Map* mask = nullptr;
-    bool rectifies = false, adds = false;
+    bool rectifies = false;
+    bool is_band_input = false;  // The same task has computed the input, of which other rows may not be complete.
 };
 
 // Computes the rows [from, to) of a convolution whose input and output have the same size.
@@ -56,7 +57,7 @@ inline void convolve_rows(const Loops& loops, const TapList& taps, const Map& in
     const std::size_t at = out.level.row(from);
     const float* mask = finish.mask ? finish.mask->data + at : nullptr;
     loops.convolve({in.data + at, taps.taps(), finish.bias, out.data + at, out.level.plane(), taps.channels(), mask,
-                    finish.rectifies, finish.adds},
+                    finish.rectifies, finish.is_band_input},
                    out.level.span(from, to));
     close_rows(out, from, to);
 }

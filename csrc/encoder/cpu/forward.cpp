@@ -84,11 +84,14 @@ class ForwardPass {
             const SavedMaps& maps = images[i].maps;
             convolve_rows(loops_, network_.quarter, maps.quarter1, maps.quarter, from, to,
                           rectify(layers_[kQuarterSecond].bias));
-            convolve_rows(loops_, network_.reduce, maps.quarter, images[i].reduced.quarter, from, to, {});
+            Finish finish;
+            finish.is_band_input = true;
+            convolve_rows(loops_, network_.reduce, maps.quarter, images[i].reduced.quarter, from, to, finish);
         });
         for_bands(team_, count, at_.half, [&](int i, int from, int to, int worker) {
             const ForwardMaps& reduced = images[i].reduced;
-            merge(network_.combined, kLateralHalf, images[i].maps.half, reduced.quarter, reduced.half, from, to, worker);
+            merge(network_.combined, kLateralHalf, images[i].maps.half, reduced.quarter, reduced.half, from, to,
+                  worker);
         });
         for_bands(team_, count, at_.full, [&](int i, int from, int to, int worker) {
             const SavedMaps& maps = images[i].maps;

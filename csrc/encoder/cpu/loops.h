@@ -27,7 +27,7 @@ struct Convolution {
     int channels;       // A multiple of kTile.
     const float* mask;  // Where the mask is not positive, the output is 0. Null for no mask.
     bool rectifies;     // Negative outputs become 0.
-    bool adds;          // The result is added to `out` before it is masked.
+    bool stays_inside;  // Nothing is read beyond the positions, because another thread may write there.
 };
 
 // The gradient of weights: sums[tap][channel] += sum of gradient[channel][i] * in[i + offsets[tap]].

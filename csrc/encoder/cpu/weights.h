@@ -43,8 +43,8 @@ struct Layer {
     }
 };
 
-// The offsets of a layer's taps, ordered by input channel, row and column. `level` is that of the output. With stride 2,
-// the input consists of phases.
+// The offsets of a layer's taps, ordered by input channel, row and column. `level` is that of the output. With stride
+// 2, the input consists of phases.
 std::vector<std::ptrdiff_t> tap_offsets(const Shape& shape, const Level& level, int stride);
 
 // The taps that compute a layer.

@@ -86,21 +86,35 @@ void add_background(std::size_t count, const float* rgb, const float* alpha, con
 
 FOURD_INLINE float clamp01(float value) { return value < 0.0f ? 0.0f : value > 1.0f ? 1.0f : value; }
 
+// Adds the squares of `count` <= kLanes differences to `sums`, one in each lane.
+FOURD_INLINE void add_squares(int count, const float* values, const float* truth, bool clamps, float scale,
+                              float* gradient, float* sums) {
+    float difference[kLanes];
+    for (int i = 0; i < count; ++i) difference[i] = values[i];
+    if (clamps) {
+        for (int i = 0; i < count; ++i) difference[i] = clamp01(difference[i]);
+    }
+    if (truth) {
+        for (int i = 0; i < count; ++i) difference[i] -= truth[i];
+    }
+    for (int i = 0; i < count; ++i) sums[i] += difference[i] * difference[i];
+    if (gradient) {
+        for (int i = 0; i < count; ++i) gradient[i] = scale * difference[i];
+    }
+}
+
 double sum_squares(std::size_t count, const float* values, const float* truth, bool clamps, float scale,
                    float* gradient) {
     float sums[kLanes] = {};
-    for (std::size_t first = 0; first < count; first += kLanes) {
-        const int used = static_cast<int>(count - first < kLanes ? count - first : kLanes);
-        float difference[kLanes] = {};
-        for (int i = 0; i < used; ++i) {
-            const float value = clamps ? clamp01(values[first + i]) : values[first + i];
-            difference[i] = truth ? value - truth[first + i] : value;
-        }
-        for (int i = 0; i < kLanes; ++i) sums[i] += difference[i] * difference[i];
-        for (int i = 0; gradient && i < used; ++i) gradient[first + i] = scale * difference[i];
+    std::size_t i = 0;
+    for (; i + kLanes <= count; i += kLanes) {
+        add_squares(kLanes, values + i, truth ? truth + i : nullptr, clamps, scale, gradient ? gradient + i : nullptr,
+                    sums);
     }
+    add_squares(static_cast<int>(count - i), values + i, truth ? truth + i : nullptr, clamps, scale,
+                gradient ? gradient + i : nullptr, sums);
     double total = 0.0;
-    for (int i = 0; i < kLanes; ++i) total += static_cast<double>(sums[i]);
+    for (const float sum : sums) total += static_cast<double>(sum);
     return total;
 }
 

@@ -1,4 +1,5 @@
-// Random inputs of the networks of the point model, of the image encoder, and of the updates at the end of a training step.
+// Random inputs of the networks of the point model, of the image encoder, of the images of a training step, and of the
+// updates at its end.
 #pragma once
 
 #include <cstdint>
@@ -7,6 +8,7 @@
 #include "encoder/encoder.h"
 #include "heads/heads.h"
 #include "moves/moves.h"
+#include "step_images/step_images.h"
 #include "tests/random_inputs.h"
 
 namespace fourd::tests {
@@ -82,6 +84,40 @@ inline void run_encoder(unsigned seed, const char* simd) {
     if (hostile > 0) return;
     expect_finite(features, "features of images", seed);
     for (const Floats& gradient : gradients) expect_finite(gradient, "gradients of the encoder's weights", seed);
+}
+
+inline void run_step_images(unsigned seed, const char* simd) {
+    Random random(seed);
+    const float hostile = seed % 2 ? 0.2f : 0.0f;
+    const step_images::Grid grid{random_int(random, 1, 40), random_int(random, 1, 40), random_int(random, 1, 3)};
+    const step_images::Execution execution{random_int(random, 1, 4), simd_named(simd)};
+    const std::size_t pixels = static_cast<std::size_t>(grid.height) * grid.width;
+    const std::size_t samples = pixels * grid.samples * grid.samples;
+    std::vector<std::uint8_t> rgb(3 * pixels), matte(pixels);
+    for (std::uint8_t& byte : rgb) byte = static_cast<std::uint8_t>(random_int(random, 0, 255));
+    for (std::uint8_t& byte : matte) byte = static_cast<std::uint8_t>(random_int(random, 0, 255));
+    const step_images::View view{rgb.data(), matte.data(), grid.height, grid.width};
+    const int more = random_int(random, 0, 5);
+    const std::size_t padded = static_cast<std::size_t>(grid.height + more) * (grid.width + more);
+    Floats images(3 * padded), mattes(padded), colours(3 * pixels), weights(pixels), truth(3 * pixels);
+    step_images::convert_views(&view, 1, grid.height + more, grid.width + more, execution, images.data(),
+                               mattes.data());
+    step_images::premultiply(view, execution, colours.data(), weights.data());
+    const float background[3] = {0.1f, 0.5f, 1.0f};
+    step_images::add_background(pixels, colours.data(), weights.data(), background, execution, truth.data());
+    Floats features = random_floats(random, 4 * samples, 0, 1, hostile);
+    Floats alpha = random_floats(random, samples, 0, 1, 0);
+    Floats colour(3 * pixels), last(pixels), prediction(3 * pixels), gradient(3 * pixels);
+    step_images::resolve(grid, {features.data(), alpha.data()}, background, execution,
+                         {colour.data(), last.data(), prediction.data()});
+    const step_images::Table table{pixels, 3, random_int(random, 0, 2)};
+    step_images::mean_square(table, prediction.data(), seed % 3 ? truth.data() : nullptr, false, execution,
+                             gradient.data());
+    step_images::resolve_backward(grid, {seed % 4 ? colour.data() : nullptr, last.data(), gradient.data()}, background,
+                                  execution, features.data(), alpha.data());
+    expect_finite(images, "converted views", seed);
+    expect_finite(truth, "ground truth", seed);
+    if (hostile == 0.0f) expect_finite(features, "gradients of samples", seed);
 }
 
 inline void run_moves(unsigned seed) {
