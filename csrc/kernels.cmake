@@ -21,7 +21,9 @@ fourd_kernel(edge_gradients
 fourd_kernel(encoder
   CPU cpu/backward.cpp cpu/forward.cpp cpu/weight_sums.cpp cpu/weights.cpp
   DISPATCH cpu/loops.cpp WIDEST avx512 TOLERANT
-  BINDING binding.cpp)
+  CUDA cuda/encoder.cu
+  BINDING binding.cpp
+  CUDA_BINDING cuda/binding.cpp)
 
 fourd_kernel(hashgrid
   CPU cpu/encode.cpp

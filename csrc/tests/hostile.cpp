@@ -24,6 +24,7 @@
 #include "tests/source_inputs.h"
 #include "tests/splat_inputs.h"
 #include "tests/texture_inputs.h"
+#include "tests/training/encoder_inputs.h"
 #include "tests/training/step_inputs.h"
 #include "tests/unpack_inputs.h"
 

@@ -7,6 +7,7 @@
 
 #include "antialias/cuda/antialias.h"
 #include "edge_gradients/cuda/edge_gradients.h"
+#include "encoder/cuda/encoder.h"
 #include "hashgrid/cuda/encode.h"
 #include "interpolate/cuda/interpolate.h"
 #include "pixel_filter/cuda/pixel_filter.h"
@@ -28,6 +29,7 @@
 #include "tests/source_inputs.h"
 #include "tests/splat_inputs.h"
 #include "tests/texture_inputs.h"
+#include "tests/training/encoder_inputs.h"
 #include "texture/cuda/sample.h"
 
 namespace {
@@ -255,6 +257,17 @@ void run_pixel_filter(unsigned seed) {
     fourd::pixel_filter::cuda::filter_pixels(input.image(), input.side, input.out.data(), nullptr);
 }
 
+void run_encoder(unsigned seed) {
+    fourd::tests::EncoderInputs inputs(seed);
+    namespace cuda = fourd::encoder::cuda;
+    Floats saved(cuda::saved_size(inputs.sizes)), workspace(cuda::workspace_size(inputs.sizes));
+    cuda::forward(inputs.sizes, inputs.layers.data(), inputs.images.data(), inputs.features.data(), saved.data(),
+                  nullptr);
+    cuda::backward(inputs.sizes, inputs.layers.data(), saved.data(), inputs.features.data(), workspace.data(),
+                   inputs.out.data(), nullptr);
+    inputs.expect_finite_results(seed);
+}
+
 }  // namespace
 
 int main(int count, char** arguments) {
@@ -273,6 +286,7 @@ int main(int count, char** arguments) {
         run_rays(seed);
         run_texture(seed);
         run_pixel_filter(seed);
+        run_encoder(seed);
     });
     std::printf("all kernels, emulated GPU: %u inputs each\n", runs);
 }

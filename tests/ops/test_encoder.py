@@ -68,6 +68,24 @@ def test_values_and_gradients_equal_the_reference(
         assert float((one - other).abs().max()) <= 2e-5 * scale, index
 
 
+@pytest.mark.parametrize(
+    ("views", "height", "width", "stride", "features"), [(2, 16, 24, 2, 8), (1, 12, 8, 1, 3), (1, 4, 4, 1, 9)]
+)
+def test_cuda_kernel_equals_the_reference(
+    views: int, height: int, width: int, stride: int, features: int, gpu: torch.device, rng: np.random.Generator
+) -> None:
+    """Catches a wrong sample at the border of a map, a wrong mask of a ReLU, and gradients of two layers that are
+    written to the same array."""
+    images, weights, stride, upstream = make_case(rng, views, height, width, stride, features)
+    on_device = [weight.to(gpu) for weight in weights]
+    found = value_and_gradients(encode_images, images.to(gpu), on_device, stride, upstream.to(gpu))
+    exact = [weight.double() for weight in weights]
+    expected = value_and_gradients(encode_images_reference, images.double(), exact, stride, upstream)
+    for index, (one, other) in enumerate(zip(found, expected, strict=True)):
+        scale = max(float(other.abs().max()), 0.1 * upstream[:, 0].numel() ** 0.5 if index else 0.0)
+        assert float((one.cpu() - other).abs().max()) <= 2e-5 * scale, index
+
+
 def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a sum over pixels in an order that depends on thread scheduling."""
     case = make_case(rng, 4, 96, 112, 2, 8)

@@ -1,11 +1,9 @@
-// Random inputs of the networks of the point model, of the image encoder, of the images of a training step, and of the
-// updates at its end.
+// Random inputs of the networks of the point model, of the images of a training step, and of the updates at its end.
 #pragma once
 
 #include <cstdint>
 #include <vector>
 
-#include "encoder/encoder.h"
 #include "heads/heads.h"
 #include "moves/moves.h"
 #include "step_images/step_images.h"
@@ -55,35 +53,6 @@ inline void run_heads(unsigned seed, const char* simd) {
     if (hostile > 0) return;
     expect_finite(colour, "colours of heads", seed);
     for (const Floats& gradient : gradients) expect_finite(gradient, "gradients of weights", seed);
-}
-
-inline void run_encoder(unsigned seed, const char* simd) {
-    Random random(seed);
-    const int stride = random_int(random, 1, 2);
-    const encoder::Sizes sizes{random_int(random, 0, 3), 4 * stride * random_int(random, 1, 6),
-                               4 * stride * random_int(random, 1, 6), stride, random_int(random, 1, 20)};
-    const float hostile = seed % 2 ? 0.2f : 0.0f;
-    std::vector<Floats> weights, gradients;
-    std::vector<const float*> pointers;
-    std::vector<float*> out;
-    for (int i = 0; i < encoder::kWeightCount; ++i) {
-        weights.push_back(random_floats(random, encoder::weight_shape(sizes, i).size(), -1, 1, 0));
-        gradients.push_back(weights.back());
-    }
-    for (int i = 0; i < encoder::kWeightCount; ++i) {
-        pointers.push_back(weights[i].data());
-        out.push_back(gradients[i].data());
-    }
-    const std::size_t pixels = static_cast<std::size_t>(sizes.images) * sizes.height * sizes.width;
-    const Floats images = random_floats(random, 3 * pixels, 0, 1, hostile);
-    Floats features(pixels / stride / stride * sizes.features), saved(sizes.images * encoder::saved_size(sizes));
-    const encoder::Execution execution{random_int(random, 1, 4), simd_named(simd)};
-    encoder::forward(sizes, pointers.data(), images.data(), execution, features.data(), nullptr);
-    encoder::forward(sizes, pointers.data(), images.data(), execution, features.data(), saved.data());
-    encoder::backward(sizes, pointers.data(), saved.data(), features.data(), execution, out.data());
-    if (hostile > 0) return;
-    expect_finite(features, "features of images", seed);
-    for (const Floats& gradient : gradients) expect_finite(gradient, "gradients of the encoder's weights", seed);
 }
 
 inline void run_step_images(unsigned seed, const char* simd) {

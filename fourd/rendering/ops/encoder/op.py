@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fourd.rendering.ops.encoder.reference import encode_images_reference
+from fourd.rendering.ops.gpu import contiguous, cuda_unavailable_reason, load_gpu, uses_gpu_kernels
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
 from fourd.rendering.ops.operator import operator, uninitialised
 
@@ -23,8 +24,8 @@ MAX_FEATURES = 64
 def encode_images(images: Tensor, weights: Sequence[Tensor], stride: int) -> Tensor:
     """Compute features of V images with the feature pyramid of the point model.
 
-    Float32 images on the CPU use a kernel, whose gradient is bit-identical for any number of threads. Images on another
-    device, in another dtype or with a gradient use the reference.
+    Float32 images use a kernel on the CPU, whose gradient is bit-identical for any number of threads, and on a CUDA
+    device if the CUDA kernels are built. Images in another dtype or with a gradient use the reference.
 
     Args:
         images: (V, 3, H, W) in [0, 1]; H and W are multiples of 4 * stride.
@@ -38,7 +39,9 @@ def encode_images(images: Tensor, weights: Sequence[Tensor], stride: int) -> Ten
     Raises:
         ValueError: if shapes do not match.
     """
-    has_kernel = all(each.device.type == "cpu" and each.dtype == torch.float32 for each in (images, *weights))
+    device = images.device
+    works = device.type == "cpu" or (device.type == "cuda" and not cuda_unavailable_reason())
+    has_kernel = works and all(each.device == device and each.dtype == torch.float32 for each in (images, *weights))
     if not has_kernel or images.requires_grad or weights[-1].shape[0] > MAX_FEATURES:
         return encode_images_reference(images, weights, stride)
     _check(images, weights, stride)
@@ -62,18 +65,33 @@ def _joined(weights: Sequence[Tensor]) -> NDArray[np.float32]:
     return np.concatenate([as_array(weight).reshape(-1) for weight in weights])
 
 
+def _sizes(images: Tensor, stride: int) -> tuple[int, int]:
+    """Return the numbers of floats that the gradient reads from the forward pass, and that it needs as workspace."""
+    views, _, height, width = images.shape
+    if uses_gpu_kernels(images):
+        saved, workspace = load_gpu(images.device).kernels.encoder_sizes(views, height, width, stride)
+        return saved, workspace
+    return views * load_native().encoder_saved_size(height, width, stride), 0
+
+
 def _empty_outputs(images: Tensor, weights: list[Tensor], stride: int, needs_gradient: bool) -> tuple[Tensor, Tensor]:
     views, _, height, width = images.shape
     shape = (views, weights[-1].shape[0], height // stride, width // stride)
     features = torch.empty(shape, dtype=images.dtype, device=images.device, memory_format=torch.channels_last)
-    size = load_native().encoder_saved_size(height, width, stride) if needs_gradient else 0
-    return features, uninitialised(images, views, size)
+    return features, uninitialised(images, _sizes(images, stride)[0] if needs_gradient else 0)
 
 
-@operator("fourd::encode_images", outputs=_empty_outputs, devices=("cpu",))
+@operator("fourd::encode_images", outputs=_empty_outputs)
 def _encode(images: Tensor, weights: list[Tensor], stride: int, needs_gradient: bool) -> tuple[Tensor, Tensor]:
     """Compute the features, and the maps of the network that the gradient needs."""
     features, saved = _empty_outputs(images, weights, stride, needs_gradient)
+    if uses_gpu_kernels(images):
+        gpu = load_gpu(images.device)
+        maps = saved if needs_gradient else uninitialised(images, _sizes(images, stride)[0])
+        arrays = (contiguous(images), [contiguous(weight) for weight in weights])
+        with gpu.activate():
+            gpu.kernels.encode_images(*arrays, stride, gpu.stream, features.permute(0, 2, 3, 1), maps)
+        return features, saved
     load_native().encode_images(
         as_array(images),
         _joined(weights),
@@ -90,10 +108,20 @@ def _empty_gradients(weights: list[Tensor]) -> list[Tensor]:
     return [uninitialised(weight, *weight.shape) for weight in weights]
 
 
-@operator("fourd::encode_images_backward", outputs=_empty_gradients, devices=("cpu",))
+@operator("fourd::encode_images_backward", outputs=_empty_gradients)
 def _encode_backward(
     images: Tensor, saved: Tensor, weights: list[Tensor], stride: int, gradient: Tensor
 ) -> list[Tensor]:
+    """Compute the gradients of the weights."""
+    out = _empty_gradients(weights)
+    by_pixel = gradient.permute(0, 2, 3, 1)
+    if uses_gpu_kernels(images):
+        gpu = load_gpu(images.device)
+        workspace = uninitialised(images, _sizes(images, stride)[1])
+        arrays = (contiguous(images), saved, [contiguous(weight) for weight in weights])
+        with gpu.activate():
+            gpu.kernels.encode_images_backward(*arrays, stride, gpu.stream, contiguous(by_pixel), workspace, out)
+        return out
     joined = _joined(weights)
     found = np.empty_like(joined)
     load_native().encode_images_backward(
@@ -103,10 +131,10 @@ def _encode_backward(
         stride,
         thread_count(0, torch.get_num_threads()),
         simd_name(),
-        as_array(gradient.permute(0, 2, 3, 1)),
+        as_array(by_pixel),
         found,
     )
-    out, used = _empty_gradients(weights), 0
+    used = 0
     for each in out:
         array = as_array(each)
         array[...] = found[used : used + array.size].reshape(array.shape)
