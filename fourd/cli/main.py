@@ -125,11 +125,12 @@ BROKEN_PIPE = 141
 Shells report the same exit code for a process that is ended by the signal SIGPIPE.
 """
 
-SPIN_COUNT = "20000"
+SPIN_COUNT = "1000"
 """Value of GOMP_SPINCOUNT: the number of iterations that an idle OpenMP thread of torch spins before it sleeps.
 
-With OpenMP's default value, spinning threads delay fourd's own threads on the same cores. With SPIN_COUNT iterations, a
-training step is 6 to 12% faster than with OpenMP's default.
+With OpenMP's default value, spinning threads delay fourd's own threads on the same cores. On two busy cores, a training
+step of fox_run takes 9% less CPU time with 1,000 iterations than with 20,000, which take 6 to 12% less time than the
+default.
 """
 
 
