@@ -3,6 +3,7 @@
 #include "encoder/cpu/loops.h"
 
 #include <cstring>
+#include <limits>
 
 #include "common/inline.h"
 #include "encoder/maths.h"
