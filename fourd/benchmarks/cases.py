@@ -18,7 +18,10 @@ from fourd.benchmarks.textures import trilinear_texture
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.training_step import training_steps
 from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud, make_planes
+from fourd.reconstruction.model.appearance import ImageEncoder
 from fourd.rendering import render_points
+from fourd.rendering.ops.encoder.op import encode_images
+from fourd.rendering.ops.encoder.reference import encode_images_reference
 from fourd.rendering.ops.planes.op import sample_planes
 from fourd.rendering.ops.planes.reference import sample_planes_reference
 from fourd.rendering.ops.points.validation import pack_camera
@@ -66,6 +69,7 @@ def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
     yield _play(1_000_000, make_camera(1920, 1080), 12)
     yield plane_case(65_536, CPU)
     yield sampling_case(65_536, CPU)
+    yield encoder_case(512, CPU)
     yield _similarity(512)
     yield from _meshes(100_000, 1024)
     yield _peer_mesh(10_000, 512)
@@ -175,6 +179,19 @@ def _meshes(count: int, side: int) -> Iterator[Case]:
     for name, changes_image in (("antialias", True), ("edge gradients of", False)):
         name = f"{name} 3 channels, {size}, given topology, forward + backward"
         yield Case(name, antialiasing(count, side, changes_image=changes_image))
+
+
+def encoder_case(side: int, device: torch.device) -> Case:
+    """Return the case that encodes four images and computes the gradients of the encoder's weights."""
+    encoder = ImageEncoder(8, 2).to(device)
+    weights = list(encoder.parameters())
+    images = torch.rand(4, 3, side, side, generator=torch.Generator().manual_seed(side)).to(device)
+
+    def both(encode: Callable[[Tensor, list[Tensor], int], Tensor]) -> Work:
+        return lambda: torch.autograd.grad(encode(images, weights, encoder.stride).sum(), weights)
+
+    name = f"image encoder, 4 images of {side} x {side}, forward + backward"
+    return Case(name, both(encode_images), {"torch conv2d": both(encode_images_reference)})
 
 
 def _peer_mesh(count: int, side: int) -> Case:

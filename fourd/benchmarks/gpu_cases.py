@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import torch
 
 from fourd.base.cameras import Camera
-from fourd.benchmarks.cases import Case, composite, plane_case, sampling_case
+from fourd.benchmarks.cases import Case, composite, encoder_case, plane_case, sampling_case
 from fourd.benchmarks.peers import gsplat_rasterizer
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud
@@ -37,6 +37,7 @@ def gpu_cases() -> Iterator[Case]:
             yield _play(device, count, make_camera(*size), 12)
     yield _on_gpu(plane_case(65_536, device))
     yield _on_gpu(sampling_case(65_536, device))
+    yield _on_gpu(encoder_case(512, device))
 
 
 def repeat(work: Work) -> Work:

@@ -191,7 +191,7 @@ class PointModel(nn.Module):
             viewer: the viewing camera.
             sources: the source views nearest to the viewing camera; None if the model uses only SH.
             shadow: the shadow on the points, whose factors multiply the image-based colours. None for no shadow.
-            train_encoder: whether the image encoder gets a gradient. If false, a training step takes a third less time.
+            train_encoder: whether the image encoder gets a gradient.
             is_training: whether the colours are used in a training step. If true, the SH coefficients of the points are
                 used unchanged. If false, they are scaled as in the export of a scene; see :meth:`harmonics`.
         """
