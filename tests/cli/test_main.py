@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from fourd.cli.main import main
+from fourd.cli.main import SPIN_COUNT, main
 from tests.baking.scenes import write_scene
 
 PROGRAM = """
@@ -31,7 +31,7 @@ def spin_count(**set_before: str) -> str:
 
 def test_spin_count_is_set_before_torch_is_imported() -> None:
     """Catches GOMP_SPINCOUNT that is set after torch is imported, and a default that overrides the user's value."""
-    assert spin_count() == "20000"
+    assert spin_count() == SPIN_COUNT
     assert spin_count(GOMP_SPINCOUNT="5") == "5"
 
 
