@@ -170,13 +170,17 @@ inline void blend_backward(const Job& job, const Workspace& space, const Shapes&
         blend_hidden(job, space, at, point, count);
         const float* to_raw = space.logits + view * kBlock;
         add_product({to_raw, 0, 1}, 1, space.back, at.hidden, count, sums.out, at.hidden, at.hidden);
+        const float* FOURD_RESTRICT weights = packed.out;
         for (int i = 0; i < count; ++i) {
-            float* row = space.back + static_cast<std::size_t>(i) * at.hidden;
-            float* to = to_point + static_cast<std::size_t>(i) * at.first;
+            float* FOURD_RESTRICT row = space.back + static_cast<std::size_t>(i) * at.hidden;
+            float* FOURD_RESTRICT to = to_point + static_cast<std::size_t>(i) * at.first;
             const float gradient = to_raw[i];
             *sums.out_bias += gradient;
-            for (int h = 0; h < at.hidden; ++h) row[h] = row[h] > 0.0f ? gradient * packed.out[h] : 0.0f;
-            for (int h = 0; h < at.hidden; ++h) to[h] += row[h];
+            for (int h = 0; h < at.hidden; ++h) {
+                const float product = gradient * weights[h];
+                row[h] = row[h] > 0.0f ? product : 0.0f;
+                to[h] += row[h];
+            }
         }
         add_product(rows_of(space.samples, kBlock), channels, space.back, at.hidden, count, sums.image_columns,
                     at.hidden, at.hidden);
