@@ -86,8 +86,8 @@ void add_background(std::size_t count, const float* rgb, const float* alpha, con
 
 FOURD_INLINE float clamp01(float value) { return value < 0.0f ? 0.0f : value > 1.0f ? 1.0f : value; }
 
-// Adds the squares of `count` <= kLanes differences to `sums`, one in each lane.
-FOURD_INLINE void add_squares(int count, const float* values, const float* truth, bool clamps, float scale,
+// Adds the squares of `count` <= kLanes differences to `sums`, one in each lane. The first `skipped` do not count.
+FOURD_INLINE void add_squares(int count, int skipped, const float* values, const float* truth, bool clamps, float scale,
                               float* gradient, float* sums) {
     float difference[kLanes];
     for (int i = 0; i < count; ++i) difference[i] = values[i];
@@ -97,22 +97,29 @@ FOURD_INLINE void add_squares(int count, const float* values, const float* truth
     if (truth) {
         for (int i = 0; i < count; ++i) difference[i] -= truth[i];
     }
+    for (int i = 0; i < count; ++i) difference[i] = i < skipped ? 0.0f : difference[i];
     for (int i = 0; i < count; ++i) sums[i] += difference[i] * difference[i];
     if (gradient) {
         for (int i = 0; i < count; ++i) gradient[i] = scale * difference[i];
     }
 }
 
-double sum_squares(std::size_t count, const float* values, const float* truth, bool clamps, float scale,
+double sum_squares(const Table& table, const float* values, const float* truth, bool clamps, float scale,
                    float* gradient) {
     float sums[kLanes] = {};
-    std::size_t i = 0;
-    for (; i + kLanes <= count; i += kLanes) {
-        add_squares(kLanes, values + i, truth ? truth + i : nullptr, clamps, scale, gradient ? gradient + i : nullptr,
-                    sums);
+    for (std::size_t row = 0; row < table.rows; ++row) {
+        for (int column = 0; column < table.columns; column += kLanes) {
+            const std::size_t at = row * table.columns + column;
+            const int skipped = table.first - column, left = table.columns - column;
+            const float* other = truth ? truth + at : nullptr;
+            float* to = gradient ? gradient + at : nullptr;
+            if (left >= kLanes) {
+                add_squares(kLanes, skipped, values + at, other, clamps, scale, to, sums);
+            } else {
+                add_squares(left, skipped, values + at, other, clamps, scale, to, sums);
+            }
+        }
     }
-    add_squares(static_cast<int>(count - i), values + i, truth ? truth + i : nullptr, clamps, scale,
-                gradient ? gradient + i : nullptr, sums);
     double total = 0.0;
     for (const float sum : sums) total += static_cast<double>(sum);
     return total;

@@ -22,8 +22,9 @@ struct Loops {
                                  float* out_features, float* out_alpha);
     void (*add_background)(std::size_t count, const float* rgb, const float* alpha, const float* background,
                            float* out);
-    // Returns the sum of squared differences. Writes `scale` times the differences to `gradient` if it is not null.
-    double (*sum_squares)(std::size_t count, const float* values, const float* truth, bool clamps, float scale,
+    // Returns the sum of squared differences. Writes `scale` times the differences, and zeros in columns that do not
+    // count, to `gradient` if it is not null.
+    double (*sum_squares)(const Table& table, const float* values, const float* truth, bool clamps, float scale,
                           float* gradient);
 };
 

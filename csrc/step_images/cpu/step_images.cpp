@@ -78,28 +78,20 @@ void add_background(std::size_t count, const float* rgb, const float* alpha, con
 double mean_square(const Table& table, const float* values, const float* truth, bool clamps, const Execution& execution,
                    float* gradient) {
     const Loops& loops = select_loops(execution.simd);
-    const std::size_t columns = static_cast<std::size_t>(table.columns), first = table.first;
-    const std::size_t used = columns - first, numbers = table.rows * used;
+    const std::size_t numbers = table.rows * static_cast<std::size_t>(table.columns - table.first);
     const float scale = numbers > 0 ? 2.0f / static_cast<float>(numbers) : 0.0f;
-    // Parts of a table without skipped columns are one range of numbers.
-    const std::size_t width = first == 0 ? 1 : columns, skipped = first == 0 ? 0 : first;
-    const std::size_t rows = first == 0 ? numbers : table.rows;
-    const std::size_t per_part = std::max<std::size_t>(1, kNumbers / width);
+    // A table whose columns all count is one row of numbers.
+    const std::size_t columns = table.first == 0 ? 1 : static_cast<std::size_t>(table.columns);
+    const std::size_t rows = table.first == 0 ? numbers : table.rows;
+    const std::size_t per_part = std::max<std::size_t>(1, kNumbers / columns);
     std::vector<double> sums((rows + per_part - 1) / per_part);
     Team team(execution.threads);
     run_parts(team, rows, per_part, [&](std::size_t begin, std::size_t end) {
-        double sum = 0.0;
-        if (first == 0) {
-            sum = loops.sum_squares(end - begin, values + begin, truth ? truth + begin : nullptr, clamps, scale,
-                                    gradient ? gradient + begin : nullptr);
-        }
-        for (std::size_t row = begin; first > 0 && row < end; ++row) {
-            const std::size_t at = row * width + skipped;
-            sum += loops.sum_squares(used, values + at, truth ? truth + at : nullptr, clamps, scale,
-                                     gradient ? gradient + at : nullptr);
-            if (gradient) std::fill_n(gradient + row * width, skipped, 0.0f);
-        }
-        sums[begin / per_part] = sum;
+        const std::size_t at = begin * columns;
+        const Table part = table.first == 0 ? Table{1, static_cast<int>(end - begin), 0}
+                                            : Table{end - begin, table.columns, table.first};
+        sums[begin / per_part] = loops.sum_squares(part, values + at, truth ? truth + at : nullptr, clamps, scale,
+                                                   gradient ? gradient + at : nullptr);
     });
     double total = 0.0;
     for (const double sum : sums) total += sum;
