@@ -31,7 +31,6 @@ void Team::run(int tasks, const Body& body) {
         body_ = &body;
         tasks_ = tasks;
         next_.store(0, std::memory_order_relaxed);
-        busy_ = static_cast<int>(workers_.size());
         error_ = nullptr;
         ++round_;
     }
@@ -39,6 +38,7 @@ void Team::run(int tasks, const Body& body) {
     claim_tasks(0);
     std::unique_lock<std::mutex> lock(mutex_);
     end_.wait(lock, [this] { return busy_ == 0; });
+    body_ = nullptr;  // Workers that have not woken up yet have nothing to do, and nobody waits for them.
     if (error_) std::rethrow_exception(error_);
 }
 
@@ -46,9 +46,10 @@ void Team::work(int worker) {
     unsigned seen = 0;
     std::unique_lock<std::mutex> lock(mutex_);
     while (true) {
-        begin_.wait(lock, [&] { return closing_ || round_ != seen; });
+        begin_.wait(lock, [&] { return closing_ || (body_ && round_ != seen); });
         if (closing_) return;
         seen = round_;
+        ++busy_;
         lock.unlock();
         claim_tasks(worker);
         lock.lock();

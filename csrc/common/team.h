@@ -39,10 +39,10 @@ class Team {
     std::mutex mutex_;
     std::condition_variable begin_, end_;
     std::exception_ptr error_;
-    const Body* body_ = nullptr;
+    const Body* body_ = nullptr;  // Null between calls of run().
     std::atomic<int> next_{0};
     int tasks_ = 0;
-    int busy_ = 0;
+    int busy_ = 0;  // Workers that claim tasks.
     unsigned round_ = 0;
     bool closing_ = false;
 };
