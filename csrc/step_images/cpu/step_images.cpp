@@ -11,6 +11,12 @@ namespace {
 
 constexpr int kRows = 16;
 constexpr std::size_t kNumbers = 16384;
+constexpr std::size_t kPixelsPerThread = 65536;  // Fewer pixels take less time than the start of a thread.
+
+int threads_for(const Execution& execution, std::size_t pixels) {
+    const std::size_t useful = std::max<std::size_t>(1, pixels / kPixelsPerThread);
+    return static_cast<int>(std::min<std::size_t>(useful, static_cast<std::size_t>(execution.threads)));
+}
 
 // Calls work(first, last) for ranges of rows, on all workers of the team.
 template <typename Work>
@@ -20,13 +26,17 @@ void for_rows(Team& team, int rows, const Work& work) {
     });
 }
 
+std::size_t samples_of(const Grid& grid) {
+    return static_cast<std::size_t>(grid.height) * grid.width * grid.samples * grid.samples;
+}
+
 }  // namespace
 
 void convert_views(const View* views, int count, int height, int width, const Execution& execution, float* out_images,
                    float* out_mattes) {
     const Loops& loops = select_loops(execution.simd);
     const std::size_t plane = static_cast<std::size_t>(height) * width;
-    Team team(execution.threads);
+    Team team(threads_for(execution, count * plane));
     for_rows(team, count * height, [&](int row) {
         const View& view = views[row / height];
         const int y = row % height, used = y < view.height ? view.width : 0;
@@ -43,7 +53,7 @@ void convert_views(const View* views, int count, int height, int width, const Ex
 
 void premultiply(const View& view, const Execution& execution, float* out_rgb, float* out_matte) {
     const Loops& loops = select_loops(execution.simd);
-    Team team(execution.threads);
+    Team team(threads_for(execution, static_cast<std::size_t>(view.height) * view.width));
     for_rows(team, view.height, [&](int y) {
         const std::size_t at = static_cast<std::size_t>(y) * view.width;
         loops.premultiply_row(view.rgb + 3 * at, view.matte + at, view.width, out_rgb + 3 * at, out_matte + at);
@@ -53,14 +63,14 @@ void premultiply(const View& view, const Execution& execution, float* out_rgb, f
 void resolve(const Grid& grid, const Samples& samples, const float background[3], const Execution& execution,
              const Pixels& out) {
     const Loops& loops = select_loops(execution.simd);
-    Team team(execution.threads);
+    Team team(threads_for(execution, samples_of(grid)));
     for_rows(team, grid.height, [&](int y) { loops.resolve_row(grid, samples, background, y, out); });
 }
 
 void resolve_backward(const Grid& grid, const PixelGradients& gradients, const float background[3],
                       const Execution& execution, float* out_features, float* out_alpha) {
     const Loops& loops = select_loops(execution.simd);
-    Team team(execution.threads);
+    Team team(threads_for(execution, samples_of(grid)));
     for_rows(team, grid.height, [&](int y) {
         loops.resolve_row_backward(grid, gradients, background, y, out_features, out_alpha);
     });
@@ -69,7 +79,7 @@ void resolve_backward(const Grid& grid, const PixelGradients& gradients, const f
 void add_background(std::size_t count, const float* rgb, const float* alpha, const float background[3],
                     const Execution& execution, float* out) {
     const Loops& loops = select_loops(execution.simd);
-    Team team(execution.threads);
+    Team team(threads_for(execution, count));
     run_parts(team, count, kNumbers, [&](std::size_t first, std::size_t last) {
         loops.add_background(last - first, rgb + 3 * first, alpha + first, background, out + 3 * first);
     });
@@ -85,7 +95,7 @@ double mean_square(const Table& table, const float* values, const float* truth, 
     const std::size_t rows = table.first == 0 ? numbers : table.rows;
     const std::size_t per_part = std::max<std::size_t>(1, kNumbers / columns);
     std::vector<double> sums((rows + per_part - 1) / per_part);
-    Team team(execution.threads);
+    Team team(threads_for(execution, numbers));
     run_parts(team, rows, per_part, [&](std::size_t begin, std::size_t end) {
         const std::size_t at = begin * columns;
         const Table part = table.first == 0 ? Table{1, static_cast<int>(end - begin), 0}
