@@ -184,7 +184,7 @@ def _meshes(count: int, side: int) -> Iterator[Case]:
 def encoder_case(side: int, device: torch.device) -> Case:
     """Return the case that encodes four images and computes the gradients of the encoder's weights."""
     encoder = ImageEncoder(8, 2).to(device)
-    weights = list(encoder.parameters())
+    weights: list[Tensor] = list(encoder.parameters())
     images = torch.rand(4, 3, side, side, generator=torch.Generator().manual_seed(side)).to(device)
 
     def both(encode: Callable[[Tensor, list[Tensor], int], Tensor]) -> Work:
