@@ -11,7 +11,7 @@
 namespace fourd::encoder::FOURD_SIMD {
 namespace {
 
-#include "common/native_vector.inc"
+#include "vectors/native.inc"
 #include "encoder/cpu/convolution.inc"
 #include "encoder/cpu/resampling.inc"
 

@@ -1,7 +1,7 @@
 // Products of small matrices for one block of points. A dispatched file (common/dispatch.h) includes this file inside
 // its namespace.
 
-#include "common/native_vector.inc"
+#include "vectors/native.inc"
 
 constexpr int kTileRows = kNative == 16 ? 8 : 4;
 static_assert(kPad % kNative == 0, "rows are whole vectors");
