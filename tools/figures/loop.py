@@ -56,6 +56,7 @@ def main() -> None:
             loop=0,
             quality=arguments.quality,
             method=6,
+            kmax=1,  # Only whole images. Changed parts would be rectangles that differ from the rest in tone.
         )
     print(f"{arguments.out}: {len(shown)} images, {arguments.out.stat().st_size / 1e6:.2f} MB")
 
