@@ -225,7 +225,10 @@ def _resolve_principal_points(
         doubts = () if found.is_clear else (f"mirrored principal points are applied without clear evidence: {numbers}",)
         return ResolvedCalibration(found.cameras, (*notes, note), doubts)
     if found.is_clear and not is_given:
-        warning = f"principal points look mirrored: {mirrored} ({numbers}); not changed; apply with --centres mirrored"
+        warning = (
+            f"principal points look mirrored: {mirrored} ({numbers}); not changed by the import; fourd make corrects "
+            "them by itself, and fourd import with --centres mirrored"
+        )
     elif is_good:
         return ResolvedCalibration(cameras, (*notes, summary), ())
     else:
