@@ -54,6 +54,8 @@ class Arguments:
     """Extras to install, separated by commas."""
     train: bool = False
     """Also install the extra `train`, with which pip installs torch, and train some steps."""
+    wheel: Path | None = None
+    """Check this wheel instead of building one."""
     out: Path = ROOT / "build" / "wheels"
     """Folder for the wheels."""
 
@@ -129,10 +131,13 @@ def check(python: str, arguments: Arguments, work: Path) -> None:
     """Check one interpreter, and print the size of the wheel and the times."""
     work.mkdir()
     started = time.monotonic()
-    wheel = build(python, work, arguments.out)
+    wheel = arguments.wheel.resolve() if arguments.wheel else build(python, work, arguments.out)
     built = time.monotonic()
     play(python, wheel, arguments, work)
-    seconds = f"built in {built - started:.0f} s, installed and played in {time.monotonic() - built:.0f} s"
+    did = "installed, played and trained" if arguments.train else "installed and played"
+    seconds = f"{did} in {time.monotonic() - built:.0f} s"
+    if arguments.wheel is None:
+        seconds = f"built in {built - started:.0f} s, {seconds}"
     print(f"{wheel.name}: {wheel.stat().st_size / 2**20:.1f} MB, {seconds}", flush=True)
 
 
