@@ -36,7 +36,7 @@ COMMANDS: tuple[tuple[str | Path, ...], ...] = (
 """Commands that must work with the base dependencies and the extras of --extras."""
 TRAINING: tuple[tuple[str, ...], ...] = (
     ("synth", "capture", "--frames", "2", "--cameras", "6", "--size", "96"),
-    ("train", "capture", "-o", "run", "--points", "2000", "--max-steps", "4"),
+    ("train", "capture", "-o", "run", "--test-views", "01", "--points", "2000", "--max-steps", "4"),
     ("eval", "run"),
     ("export", "run", "-o", "trained.4dv"),
 )
