@@ -166,7 +166,7 @@ class _SizeResolver:
             raise UserError(
                 f"{', '.join(self.names[i] for i in resized)}: expected images of the calibration's size, or images "
                 f"that show clearly how they were resized, got {self._describe_sizes(resized)} ({choice.why}); "
-                "inspect the images and give --resize NAME"
+                "inspect the images and import them with fourd import --resize NAME"
             )
         widths = [max(b.left, b.top, b.right, b.bottom) for b in borders.values()]
         return choice.name, _evidence(choice, widths), matches
