@@ -2,7 +2,8 @@
 
 The animation of the real recording in README.md is made with:
 
-    python tools/figures/sway.py scene.work/repaired scene.4dv docs/figures/balance.webp --views cam02 cam01
+    python tools/figures/sway.py scene.work/repaired scene.4dv docs/figures/balance.webp --views cam02 cam03 \
+        --degrees 12
 
 The scene plays forwards and backwards once for each camera, while the view turns around the subject, to both sides of
 the camera and back.
