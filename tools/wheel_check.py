@@ -1,11 +1,12 @@
 """Build a wheel for each Python, install it where no compiler is found, and play a scene with it.
 
     .venv/bin/python tools/wheel_check.py python3.11 python3.12
+    .venv/bin/python tools/wheel_check.py python3.11 --train
 
 For each interpreter, the program builds the wheel with the settings of [tool.cibuildwheel], repairs it with auditwheel
 on Linux, and installs it in a new environment. PATH then contains only this environment, so that pip can neither build
-a package from source nor use packages of the system. Finally, the installed fourd describes, renders and plays a scene.
-The wheels are in build/wheels/.
+a package from source nor use packages of the system. Finally, the installed fourd describes, renders and plays a scene,
+and with --train also makes one. The wheels are in build/wheels/.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import tyro
 
 ROOT = Path(__file__).parents[1]
 SCENE = ROOT / "docs" / "scenes" / "runner.4dv"
-COMMANDS = (
+COMMANDS: tuple[tuple[str | Path, ...], ...] = (
     ("--version",),
     ("info", "--system"),
     ("info", SCENE),
@@ -33,7 +34,14 @@ COMMANDS = (
     ("view", SCENE, "--headless", "turn.mp4", "--steps", "8", "--size", "160", "120"),
 )
 """Commands that must work with the base dependencies and the extras of --extras."""
-WRITTEN = ("images/000003.png", "site/index.html", "site/player/fourd-player.js", "turn.mp4")
+TRAINING: tuple[tuple[str, ...], ...] = (
+    ("synth", "capture", "--frames", "2", "--cameras", "6", "--size", "96"),
+    ("train", "capture", "-o", "run", "--test-views", "01", "--points", "2000", "--max-steps", "4"),
+    ("eval", "run"),
+    ("export", "run", "-o", "trained.4dv"),
+)
+"""Commands that must work with the extra `train`."""
+WRITTEN: tuple[str, ...] = ("images/000003.png", "site/index.html", "site/player/fourd-player.js", "turn.mp4")
 
 
 @dataclass(frozen=True)
@@ -43,7 +51,11 @@ class Arguments:
     pythons: tyro.conf.Positional[tuple[str, ...]] = ("python3",)
     """Interpreters, as paths or as names on PATH."""
     extras: str = "viewer"
-    """Extras to install, separated by commas. With `train`, pip also installs torch."""
+    """Extras to install, separated by commas."""
+    train: bool = False
+    """Also install the extra `train`, with which pip installs torch, and train some steps."""
+    wheel: Path | None = None
+    """Check this wheel instead of building one."""
     out: Path = ROOT / "build" / "wheels"
     """Folder for the wheels."""
 
@@ -92,20 +104,25 @@ def build(python: str, work: Path, out: Path) -> Path:
     return Path(shutil.copy(wheel, out))
 
 
-def play(python: str, wheel: Path, extras: str, work: Path) -> None:
-    """Install a wheel in a new environment without a compiler, and run :data:`COMMANDS` with it."""
+def play(python: str, wheel: Path, arguments: Arguments, work: Path) -> None:
+    """Install a wheel in a new environment without a compiler, and run :data:`COMMANDS` with it, and :data:`TRAINING`
+    if the arguments ask for it."""
     programs = new_environment(python, work / "installed")
     only = str(programs)
     for compiler in ("cc", "gcc", "c++", "g++", "clang", "cl"):
         assert shutil.which(compiler, path=only) is None
+    extras = ",".join(filter(None, (arguments.extras, "train" if arguments.train else "")))
     requirement = f"{wheel}[{extras}]" if extras else str(wheel)
     constraints = ROOT / "constraints.txt"
     run([programs / "python", "-m", "pip", "install", "--quiet", "-c", constraints, requirement], work, only)
     folder = work / "elsewhere"
     folder.mkdir()
-    for command in COMMANDS:
+    commands, written = COMMANDS, WRITTEN
+    if arguments.train:
+        commands, written = (*COMMANDS, *TRAINING), (*WRITTEN, "trained.4dv")
+    for command in commands:
         run([programs / "fourd", *command], folder, only)
-    missing = [name for name in WRITTEN if not (folder / name).is_file()]
+    missing = [name for name in written if not (folder / name).is_file()]
     if missing:
         sys.exit(f"{wheel.name}: the commands did not write {', '.join(missing)}")
 
@@ -114,10 +131,13 @@ def check(python: str, arguments: Arguments, work: Path) -> None:
     """Check one interpreter, and print the size of the wheel and the times."""
     work.mkdir()
     started = time.monotonic()
-    wheel = build(python, work, arguments.out)
+    wheel = arguments.wheel.resolve() if arguments.wheel else build(python, work, arguments.out)
     built = time.monotonic()
-    play(python, wheel, arguments.extras, work)
-    seconds = f"built in {built - started:.0f} s, installed and played in {time.monotonic() - built:.0f} s"
+    play(python, wheel, arguments, work)
+    did = "installed, played and trained" if arguments.train else "installed and played"
+    seconds = f"{did} in {time.monotonic() - built:.0f} s"
+    if arguments.wheel is None:
+        seconds = f"built in {built - started:.0f} s, {seconds}"
     print(f"{wheel.name}: {wheel.stat().st_size / 2**20:.1f} MB, {seconds}", flush=True)
 
 

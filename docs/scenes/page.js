@@ -1,7 +1,5 @@
 // Scenes in the pages of this site. A `div` of the class "scene" has either a player, or a button with a picture that
-// starts one.
-import "../player/fourd-player.js";
-import { orbit } from "../player/navigate/pose.js";
+// starts one. The player is loaded after everything that the page shows first.
 
 /** Duration of a turn around the scene in seconds. */
 const TURN_S = 24;
@@ -11,13 +9,26 @@ const ATTRIBUTES = { autoplay: "", embedded: "", background: "#14171c" };
 /** The scene of a button that plays. Only one plays at a time, because each takes memory and the graphics processor. */
 let playing = null;
 
-for (const player of document.querySelectorAll(".scene > fourd-player")) turn(player);
 for (const button of document.querySelectorAll(".scene > button")) {
   button.addEventListener("click", () => start(button));
 }
+if (document.readyState === "complete") loadAfterPaint();
+else window.addEventListener("load", loadAfterPaint, { once: true });
 
 new MutationObserver(nameCodeBars).observe(document.body, { childList: true, subtree: true });
 nameCodeBars();
+
+/** Loads the player when the browser has drawn the page. */
+function loadAfterPaint() {
+  requestAnimationFrame(() => requestAnimationFrame(load));
+}
+
+/** Loads the player. The template has preload links for all modules, which would otherwise arrive one after the other. */
+async function load() {
+  document.head.append(document.querySelector("#player-modules").content);
+  const [{ orbit }] = await Promise.all([import("../player/navigate/pose.js"), import("../player/fourd-player.js")]);
+  for (const player of document.querySelectorAll(".scene > fourd-player")) turn(player, orbit);
+}
 
 /** Gives a name to the theme's bar of buttons of each code block, because several landmarks without names are a maze. */
 function nameCodeBars() {
@@ -27,7 +38,7 @@ function nameCodeBars() {
 }
 
 /** Turns the view around the scene while it plays, until the visitor moves the view. */
-function turn(player) {
+function turn(player, orbit) {
   if (matchMedia("(prefers-reduced-motion: reduce)").matches) return;
   let isTurning = true;
   for (const input of ["pointerdown", "keydown", "change"]) {

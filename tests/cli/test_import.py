@@ -127,7 +127,7 @@ def test_unclear_sizes_ask_for_resize(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "a, b, c: expected images of the calibration's size, or images that show clearly" in line
     assert "got 36 x 48 -> 32 x 48 (" in line
     assert "stretched: no matches" in line
-    assert "give --resize NAME" in line
+    assert "fourd import --resize NAME" in line
     assert not (tmp_path / "out" / "intri.yml").exists()
     assert "expected one of" in refused_line(capsys, source, tmp_path / "out", "--resize", "squeezed")
     assert "cropped left (given by --resize)" in imported_log(

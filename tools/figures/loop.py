@@ -1,9 +1,7 @@
 """Make a looping animation (WebP) from parts of a video, for pages that show no videos, such as README.md on GitHub.
 
-The animations of README.md are made with:
+The animation of the generated recording in README.md is made with:
 
-    python tools/figures/loop.py docs/figures/balance_scene.mp4 docs/figures/balance.webp --frames 14:40 66:92 \
-        --columns 0:243 546:864
     python tools/figures/loop.py docs/figures/styles.mp4 docs/figures/turning.webp --frames 0:240:2
 """
 
@@ -56,6 +54,7 @@ def main() -> None:
             loop=0,
             quality=arguments.quality,
             method=6,
+            kmax=1,  # Only whole images. Changed parts would be rectangles that differ from the rest in tone.
         )
     print(f"{arguments.out}: {len(shown)} images, {arguments.out.stat().st_size / 1e6:.2f} MB")
 

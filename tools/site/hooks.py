@@ -72,10 +72,14 @@ def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:
     from fourd.viewer.publish.site import loaded_modules
 
     modules = loaded_modules(Path(config.site_dir))
-    # The player sets its poster only after all modules are there, so that the browser would see the picture late.
-    posters = re.findall(r'<fourd-player [^>]*poster="([^"]+)"', output)
-    head = [f'<link rel="preload" as="image" href="{poster}" fetchpriority="high">' for poster in posters]
-    head += [f'<link rel="modulepreload" href="{get_relative_url(name, page.url)}">' for name in modules]
+    # Preload links in a template, which scenes/page.js puts into the page when it is drawn. Links in the head would
+    # delay the style sheets and the picture that the page shows first.
+    links = (get_relative_url(name, page.url) for name in modules)
+    head = [
+        '<template id="player-modules">',
+        *(f'<link rel="modulepreload" href="{link}">' for link in links),
+        "</template>",
+    ]
     head.append(f'<script type="module" src="{get_relative_url(f"{SCENES}/page.js", page.url)}"></script>')
     return output.replace("</head>", "\n".join([*head, "</head>"]), 1)
 

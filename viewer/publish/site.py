@@ -156,7 +156,7 @@ def _copy_modules(web: Path, folder: Path, styles: Mapping[str, Style] | None, l
 
 def _write_page(folder: Path, page: str, title: str, modules: Sequence[str]) -> None:
     """Write a page with preload links for ``modules``. Without the links, a browser would request a module only after
-    it has fetched another one that imports it."""
-    links = (f'<link rel="modulepreload" href="{name}" />' for name in modules)
+    it has fetched another one that imports it. They have a low priority, because the poster comes first."""
+    links = (f'<link rel="modulepreload" href="{name}" fetchpriority="low" />' for name in modules)
     page = page.replace("{{title}}", html.escape(title, quote=True)).replace("{{preload}}", "\n    ".join(links))
     (folder / PAGE_NAME).write_text(page, encoding="utf-8")

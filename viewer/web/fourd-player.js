@@ -356,6 +356,7 @@ export class FourdPlayer extends HTMLElement {
   }
 
   #resize() {
+    this.panel.arrange();
     const { canvas } = this.panel;
     const width = Math.max(Math.round(this.clientWidth * devicePixelRatio), 1);
     const height = Math.max(Math.round(this.clientHeight * devicePixelRatio), 1);

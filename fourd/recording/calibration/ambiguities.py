@@ -166,7 +166,7 @@ class _SizeResolver:
             raise UserError(
                 f"{', '.join(self.names[i] for i in resized)}: expected images of the calibration's size, or images "
                 f"that show clearly how they were resized, got {self._describe_sizes(resized)} ({choice.why}); "
-                "inspect the images and give --resize NAME"
+                "inspect the images and import them with fourd import --resize NAME"
             )
         widths = [max(b.left, b.top, b.right, b.bottom) for b in borders.values()]
         return choice.name, _evidence(choice, widths), matches
@@ -225,7 +225,10 @@ def _resolve_principal_points(
         doubts = () if found.is_clear else (f"mirrored principal points are applied without clear evidence: {numbers}",)
         return ResolvedCalibration(found.cameras, (*notes, note), doubts)
     if found.is_clear and not is_given:
-        warning = f"principal points look mirrored: {mirrored} ({numbers}); not changed; apply with --centres mirrored"
+        warning = (
+            f"principal points look mirrored: {mirrored} ({numbers}); not changed by the import; fourd make corrects "
+            "them by itself, and fourd import with --centres mirrored"
+        )
     elif is_good:
         return ResolvedCalibration(cameras, (*notes, summary), ())
     else:

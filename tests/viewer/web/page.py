@@ -16,7 +16,8 @@ IGNORED = ("ReadPixels", "Failed to load resource", "software WebGL")
 """Console messages that contain one of these texts are not errors of the player. Such messages report slow reads,
 missing files and slow drivers."""
 NAMES = "const player = document.querySelector('fourd-player'), {stage} = player;"
-IS_READY = "player.firstImageMs > 0 || (!player.panel.message.hidden && player.panel.message.textContent)"
+IS_READY = "player.panel && (player.firstImageMs || !player.panel.message.hidden && player.panel.message.textContent)"
+"""Pages of the documentation load the player after everything else, so that the element has no panel at first."""
 
 
 class PlayerPage:

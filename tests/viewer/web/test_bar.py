@@ -67,3 +67,27 @@ def test_a_button_shows_the_controls_without_room(object_site: Path, open_page: 
         page.wait("!player.panel.help.hidden")
         page.page.get_by_role("button", name="More controls", expanded=True).tap()
         assert controls(page) == before
+
+
+@pytest.mark.parametrize(("size", "opens"), [(DESKTOP, False), (WINDOW, False), (WINDOW, True), (PHONE, True)])
+def test_the_tab_key_follows_the_rows(
+    object_site: Path, open_page: Callable[..., PlayerPage], size: tuple[int, int], opens: bool
+) -> None:
+    """Catches a Tab key that jumps between the rows of controls instead of following them."""
+    with serving(object_site) as server:
+        page = open_page(server.url, DESKTOP)
+        page.ready()
+        page.wait("!player.panel.styles.hidden")
+        page.page.set_viewport_size({"width": size[0], "height": size[1]})
+        page.wait(f"(player.panel.bar.firstChild === player.panel.extra) === {str(size != DESKTOP).lower()}")
+        if opens:
+            page.run("player.panel.more.focus();")
+            page.page.keyboard.press("Enter")
+            assert page.run("return player.shadowRoot.activeElement === player.panel.loop;")
+        rows = sorted(controls(page), key=lambda each: (round(each["middle"]), each["left"]))
+        page.run("player.focus();")
+        reached = []
+        for _ in rows:
+            page.page.keyboard.press("Tab")
+            reached.append(page.run("return player.shadowRoot.activeElement?.title;"))
+    assert reached == [each["name"] for each in rows]

@@ -50,14 +50,18 @@ export class Panel {
     this.vr.hidden = true;
     this.question = button("help", "Controls");
     this.bar = element("div", { className: "bar" });
-    // Controls without room in a narrow player. The button `more` shows them in a second row.
+    // Controls without room in a narrow player. The button `more` shows them in a row above the others.
     this.extra = element("div", { className: "extra", id: "extra" });
     this.extra.append(this.loop, this.speed, this.camera, this.styles, this.shoot, this.link, this.question);
     this.more = button("more", "More controls");
     this.more.classList.add("more");
     this.more.setAttribute("aria-controls", this.extra.id);
     this.#showExtra(false);
-    this.more.addEventListener("click", () => this.#showExtra(!this.bar.classList.contains("open")));
+    this.more.addEventListener("click", () => {
+      this.#showExtra(!this.bar.classList.contains("open"));
+      // The row stands before the button in the order of the Tab key, as on the screen.
+      if (this.bar.classList.contains("open")) this.loop.focus();
+    });
     this.bar.append(this.play, this.scrub, this.time, this.more, this.extra, this.full, this.vr);
     root.append(this.canvas, this.poster, this.spinner, this.bar, this.help, this.message);
     this.question.addEventListener("click", () => (this.help.hidden = !this.help.hidden));
@@ -92,6 +96,14 @@ export class Panel {
   hideMessage() {
     clearTimeout(this.noteTimer);
     this.message.hidden = true;
+  }
+
+  /** Puts the controls without room where the player shows them, because the Tab key follows the order of the elements. */
+  arrange() {
+    const isNarrow = getComputedStyle(this.more).display !== "none";
+    if (isNarrow === (this.bar.firstChild === this.extra)) return;
+    if (isNarrow) this.bar.prepend(this.extra);
+    else this.more.after(this.extra);
   }
 
   /** @param {boolean} isShown */

@@ -32,7 +32,7 @@ button:focus-visible, select:focus-visible, input:focus-visible { outline: 2px s
   .more { display: block; }
   .extra { display: none; }
   .bar.open { flex-wrap: wrap; }
-  .bar.open .extra { display: flex; flex-wrap: wrap; justify-content: end; gap: 6px 8px; flex-basis: 100%; order: -1; }
+  .bar.open .extra { display: flex; flex-wrap: wrap; justify-content: end; gap: 6px 8px; flex-basis: 100%; }
   .bar.open ~ .message { bottom: 150px; }
 }
 @container (max-width: 480px) { .bar { --control: 44px; gap: 6px; } }
