@@ -51,7 +51,7 @@ class Arguments:
     """Width and height of each of the two images."""
     fps: float = 15.0
     """Images per second."""
-    quality: int = 60
+    quality: int = 54
     """Quality of the WebP images, 0 to 100."""
 
 
