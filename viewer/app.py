@@ -10,10 +10,10 @@ from rich.console import Console
 
 from fourd.base.errors import UserError
 from fourd.scene.styles.tables import ShadeMapError
-from fourd.viewer import controls
+from fourd.viewer.controls import handle_navigation
 from fourd.viewer.display import DisplaySettings, RenderRequest
-from fourd.viewer.loaded_scene import LoadedScene
-from fourd.viewer.panel.panel import draw_panel
+from fourd.viewer.keys import handle_keys
+from fourd.viewer.overlay.overlay import draw_overlay
 from fourd.viewer.rendering.renderers import RendererName
 from fourd.viewer.session import Session
 from fourd.viewer.state import ViewerState
@@ -28,8 +28,12 @@ began.
 """
 _IDLE_SECONDS = 0.25
 """Seconds between checks for new frames and checkpoints while the image does not change."""
-_SPINNER_SECONDS = 0.1
-"""Seconds between two images of the spinner. The interval is long, because loading a scene also needs the CPU."""
+_LOADING_SECONDS = 0.1
+"""Seconds between two images of the loading bar. The interval is long, because loading a scene also needs the CPU."""
+_PATIENCE_SECONDS = 0.3
+"""The window appears after this time, even if the scene has not been opened yet."""
+_FADE_SECONDS = 0.03
+"""Seconds between two images of a message that fades."""
 _IMAGES_AFTER_INPUT = 8
 """Number of images that are drawn after each input event.
 
@@ -54,51 +58,49 @@ def run_viewer(
     """
     session = Session(settings, style_name)
     try:
-        scene = None if source is None else _open_scene(session, source)
+        if source is not None:
+            session.open(source)
+            session.wait_opened(_PATIENCE_SECONDS)
         with Window(size, "fourd") as window:
             state = ViewerState(window, session, WindowRenderer(window, requested))
             choice = state.renderer.choice
             console.print(f"renderer: {choice.name} ({choice.reason})", soft_wrap=True)
             try:
-                if scene is not None:
-                    state.show_scene(scene)
-                App(state).run()
+                App(state, needs_scene=source is not None).run()
             finally:
                 state.release()
     finally:
         session.close()
 
 
-def _open_scene(session: Session, source: Path) -> LoadedScene:
-    session.open(source)
-    scene = session.take_opened(wait=True)
-    if scene is None:
-        assert session.error is not None
-        raise session.error
-    return scene
-
-
 class App:
     """The event loop of the viewer."""
 
-    def __init__(self, state: ViewerState) -> None:
+    def __init__(self, state: ViewerState, *, needs_scene: bool) -> None:
+        """``needs_scene`` is True if the user has named a scene, without which the viewer ends."""
         self._state = state
+        self._needs_scene = needs_scene
         self._images_left = _IMAGES_AFTER_INPUT
 
     def run(self) -> None:
-        """Run the event loop until the user closes the window."""
-        window = self._state.window
+        """Run the event loop until the user closes the window. Raises UserError if the scene that the user has named
+        cannot be opened."""
+        window, session = self._state.window, self._state.session
         last = time.monotonic()
         while not window.should_close:
             window.wait_events(self._seconds_to_wait())
             now = time.monotonic()
             elapsed, last = min(now - last, _MAX_STEP_SECONDS), now
-            for path in window.take_dropped_paths():
+            chosen = self._state.take_chosen_path()
+            for path in (*window.take_dropped_paths(), *(() if chosen is None else (chosen,))):
                 self._state.open(path)
+                self._images_left = _IMAGES_AFTER_INPUT
             if window.take_input_flag():
                 self._images_left = _IMAGES_AFTER_INPUT
             if not window.is_hidden:
                 self._step(elapsed)
+            if self._needs_scene and session.scene is None and session.error is not None:
+                raise session.error
 
     def _step(self, elapsed: float) -> None:
         """Advance the session by ``elapsed`` seconds, and draw an image if the image may have changed."""
@@ -111,22 +113,22 @@ class App:
         self._images_left = max(0, self._images_left - 1)
         if state.recorder is not None and session.pose is not None:
             state.recorder.advance(elapsed, session.pose, session.playback.frame)
-        request = session.render_request(window.framebuffer_size)
+        request = session.render_request(window.framebuffer_size, shift=state.picture_shift)
         is_drawn = request is not None and (state.renderer.needs_draw(request) or self._is_settling)
         if request is not None and is_drawn:
             self._draw(request)
         with state.timings.measure("panel"):
             state.renderer.present(shows_image=request is not None)
             window.begin_ui()
-            controls.handle_shortcuts(state)
-            draw_panel(state)
-            if controls.handle_navigation(session, window.size[1], elapsed):
+            handle_keys(state)
+            draw_overlay(state)
+            if handle_navigation(session, window.size[1], elapsed):
                 self._images_left = _IMAGES_AFTER_INPUT
-            controls.handle_playback_keys(session)
             window.end_ui()
         with state.timings.measure("present"):
             window.swap_buffers()
         if is_drawn:
+            state.timings.count_image(time.monotonic())
             # The stylizer's time is moved to the part "style". The cpu renderer runs the stylizer during "draw". OpenGL
             # renderers run it on the GPU, and its time is part of "present", which waits for the GPU.
             source = "draw" if state.renderer.choice.name == "cpu" else "present"
@@ -159,24 +161,34 @@ class App:
         state, session = self._state, self._state.session
         if state.window.is_hidden or self._is_idle():
             return _IDLE_SECONDS
-        if session.is_opening or session.is_waiting:
-            return _SPINNER_SECONDS
+        if session.opening is not None or session.is_waiting:
+            return _LOADING_SECONDS
         is_moving = session.is_moving or state.recorder is not None
         if is_moving or state.renderer.is_stale or self._is_settling or self._images_left > 0:
             return 0.0
+        if self._is_fading:
+            return _FADE_SECONDS
         return min(session.playback.seconds_to_next_frame(), _IDLE_SECONDS)
 
     def _is_idle(self) -> bool:
         """Return True if the next image would be equal to the current one."""
         state, session = self._state, self._state.session
-        is_active = session.is_opening or session.is_waiting or session.is_moving or session.playback.is_playing
-        is_changing = state.recorder is not None or state.renderer.is_stale or self._is_settling
+        is_active = (
+            session.opening is not None or session.is_waiting or session.is_moving or session.playback.is_playing
+        )
+        is_changing = state.recorder is not None or state.renderer.is_stale or self._is_settling or self._is_fading
+        is_changing |= state.is_panel_open and state.timings.images_per_second(time.monotonic()) > 0
         return not (is_active or is_changing or self._images_left > 0)
 
     @property
     def _is_settling(self) -> bool:
         """Return True if playback is paused but more images must be drawn, because lines of a style are fading in."""
         return self._state.renderer.is_settling and not self._state.session.playback.is_playing
+
+    @property
+    def _is_fading(self) -> bool:
+        """Return True if a message to the user is about to vanish."""
+        return self._state.notice.is_fading(self._state.session.message, time.monotonic())
 
     def _title(self) -> str:
         scene, playback = self._state.session.scene, self._state.session.playback

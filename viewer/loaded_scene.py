@@ -43,19 +43,19 @@ class LoadedScene:
         self.checkpoint = self._run.checkpoint if self._run else ""
         self._last_poll = time.monotonic()
 
-    def initial_pose(self, size: tuple[int, int]) -> Pose:
+    def initial_pose(self, size: tuple[int, int], room: tuple[float, float] | None = None) -> Pose:
         """Return the pose of the first camera or, if there are no cameras, a pose that shows the whole scene."""
         if self.manifest.cameras:
-            return self.camera_pose(0, size)
+            return self.camera_pose(0, size, room)
         lower, upper = (np.asarray(corner) for corner in self.manifest.bounds)
         diagonal = max(float(np.linalg.norm(upper - lower)), 1e-3)
         centre = (lower + upper) / 2
         side = np.array([0.0, -1.0, 0.0]) if abs(self.up[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
         return pose_facing(centre + 1.2 * diagonal * side, centre, self.up, np.radians(50))
 
-    def camera_pose(self, index: int, size: tuple[int, int]) -> Pose:
-        """Return the pose of a camera of the capture."""
-        return pose_from_camera(self.manifest.cameras[index], self.manifest.focus, self.up, size)
+    def camera_pose(self, index: int, size: tuple[int, int], room: tuple[float, float] | None = None) -> Pose:
+        """Return the pose of a camera of the capture. Its image fits into ``room`` (width, height) or ``size``."""
+        return pose_from_camera(self.manifest.cameras[index], self.manifest.focus, self.up, size, room)
 
     def poll_checkpoint(self) -> bool:
         """Check for a new checkpoint of the run, at most once per second.

@@ -36,6 +36,7 @@ class Session:
         style_name: name of the preset, or path of the style file, that the user chose last; None for the captured
             colours. The style in ``settings`` can differ from the chosen style, because the user can edit it.
         style_file: path of the style file that the user chose last, or None.
+        is_free: whether the user has moved the view away from the camera that was chosen last.
     """
 
     def __init__(self, settings: DisplaySettings, style_name: str | None = None) -> None:
@@ -54,18 +55,20 @@ class Session:
         self.message = ""
         self.error: Exception | None = None
         self.is_waiting = False
+        self.is_free = False
         self._opener: threading.Thread | None = None
+        self._opening: Path | None = None
         self._opened: LoadedScene | Exception | None = None
         self._transition: tuple[Pose, Pose, float] | None = None  # start, end, fraction
         self._scaled: tuple[BakedFrame, DisplaySettings, BakedFrame] | None = None
-        self._last_camera: tuple[Pose, tuple[int, int], Camera] | None = None
+        self._last_camera: tuple[Pose, tuple[int, int], tuple[float, float], Camera] | None = None
         self._last_frame: BakedFrame | None = None
         self._has_user_layers = settings.layers > 0
 
     @property
-    def is_opening(self) -> bool:
-        """Whether a scene is being opened."""
-        return self._opener is not None
+    def opening(self) -> Path | None:
+        """The path of the scene that is being opened, or None."""
+        return self._opening if self._opener is not None else None
 
     @property
     def style_names(self) -> tuple[str | None, ...]:
@@ -81,9 +84,18 @@ class Session:
         """Start to open a scene or a run. The call is ignored while another scene is being opened."""
         if self._opener is not None:
             return
-        self._opened = None
+        self._opened, self._opening = None, path
         self._opener = threading.Thread(target=self._open, args=(path,), name="opener", daemon=True)
         self._opener.start()
+
+    def wait_opened(self, seconds: float) -> None:
+        """Wait until the scene has been opened, but at most ``seconds``. Raises UserError if it cannot be opened."""
+        if self._opener is None:
+            return
+        self._opener.join(seconds)
+        if isinstance(self._opened, Exception):
+            self.take_opened(wait=True)
+            raise self._opened
 
     def take_opened(self, wait: bool = False) -> LoadedScene | None:
         """Return a newly opened scene, or None if no scene has finished opening since the last call.
@@ -99,11 +111,11 @@ class Session:
         self.error, self.message = opened, str(opened)
         return None
 
-    def show(self, scene: LoadedScene, pose: Pose) -> None:
-        """Close the current scene, and show ``scene`` from ``pose``."""
+    def show(self, scene: LoadedScene, pose: Pose, *, is_free: bool = False) -> None:
+        """Close the current scene, and show ``scene`` from ``pose``. ``is_free`` says that no camera has this pose."""
         if self.scene is not None:
             self.scene.close()
-        self.scene, self.pose = scene, pose
+        self.scene, self.pose, self.is_free = scene, pose, is_free
         manifest = scene.manifest
         self.playback = Playback(manifest.frame_count, manifest.fps, is_playing=not scene.checkpoint)
         if not self._has_user_layers:
@@ -167,13 +179,13 @@ class Session:
         self.settings = replace(self.settings, style=style)
 
     def move_to(self, pose: Pose) -> None:
-        """Start a transition to ``pose``."""
+        """Start a transition to ``pose``, which is the pose of a camera."""
         if self.pose is not None:
-            self._transition = (self.pose, pose, 0.0)
+            self._transition, self.is_free = (self.pose, pose, 0.0), False
 
     def set_pose(self, pose: Pose) -> None:
-        """Set the pose and end any transition."""
-        self.pose, self._transition = pose, None
+        """Set the pose that the user has chosen, and end any transition."""
+        self.pose, self._transition, self.is_free = pose, None, True
 
     def advance(self, seconds: float) -> bool:
         """Advance playback and the transition by ``seconds``. Playback waits while the current frame is being read.
@@ -190,8 +202,12 @@ class Session:
             self._transition = (start, end, fraction) if fraction < 1 else None
         return has_new_checkpoint
 
-    def render_request(self, size: tuple[int, int], wait: bool = False) -> RenderRequest | None:
+    def render_request(
+        self, size: tuple[int, int], wait: bool = False, shift: tuple[float, float] = (0.0, 0.0)
+    ) -> RenderRequest | None:
         """Return the render request for an image of ``size``, or None until the first frame of a scene has been read.
+
+        ``shift`` moves the picture right and down, in pixels.
 
         The request contains the previous frame instead of the current frame in two cases: while the current frame is
         being read (``is_waiting`` is then True), and if the current frame cannot be read (``message`` then contains
@@ -203,7 +219,7 @@ class Session:
         frame = self._current_frame(wait)
         if frame is None:
             return None
-        camera = self._camera(self.pose, size)
+        camera = self._camera(self.pose, size, shift)
         return RenderRequest(self._scale_points(frame), camera, self.scene.manifest, self.settings)
 
     def close(self) -> None:
@@ -231,15 +247,16 @@ class Session:
             self._last_frame = found
         return self._last_frame
 
-    def _camera(self, pose: Pose, size: tuple[int, int]) -> Camera:
+    def _camera(self, pose: Pose, size: tuple[int, int], shift: tuple[float, float]) -> Camera:
         """Return the camera of a pose.
 
-        While the pose and the size do not change, each call returns the same object, so that renderers can reuse their
-        depth order.
+        While its arguments do not change, each call returns the same object, so that renderers can reuse their depth
+        order.
         """
-        if self._last_camera is None or self._last_camera[0] is not pose or self._last_camera[1] != size:
-            self._last_camera = (pose, size, pose.camera(*size))
-        return self._last_camera[2]
+        last = self._last_camera
+        if last is None or last[0] is not pose or last[1:3] != (size, shift):
+            last = self._last_camera = (pose, size, shift, pose.camera(*size, shift))
+        return last[3]
 
     def _scale_points(self, frame: BakedFrame) -> BakedFrame:
         """Return the frame with radii and densities scaled by the settings.

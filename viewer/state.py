@@ -13,7 +13,11 @@ from fourd.base.errors import UserError
 from fourd.scene.styles.presets import STYLE_SUFFIXES
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.canvas import Canvas
+from fourd.viewer.interface.file_dialog import FileDialog, has_file_dialogs
+from fourd.viewer.interface.layout import Layout, has_room_for_panel
+from fourd.viewer.interface.notice_clock import NoticeClock
 from fourd.viewer.loaded_scene import LoadedScene
+from fourd.viewer.navigation.preferences import Preferences, PreferencesFile
 from fourd.viewer.navigation.recorded_path import PathRecorder, PathSample, RecordedPath
 from fourd.viewer.navigation.saved_views import SavedViews, default_file
 from fourd.viewer.output.png import write_png
@@ -39,8 +43,11 @@ class ViewerState:
         timings: times of the last images.
         recorder: recorder of the camera path, or None while no path is being recorded.
         recorded_path: the last recording of this scene.
-        is_panel_open: whether the panel is visible.
-        camera_index: index of the capture camera that is selected in the panel.
+        notice: tells how strongly the session's message is visible.
+        preferences: what the viewer remembers from one start to the next.
+        is_help_open: whether the help is visible.
+        camera_index: index of the capture camera that was selected last.
+        typed_path: what the user has typed as the path of a scene to open.
     """
 
     def __init__(self, window: Window, session: Session, renderer: WindowRenderer) -> None:
@@ -50,10 +57,58 @@ class ViewerState:
         self.timings = Timings()
         self.recorder: PathRecorder | None = None
         self.recorded_path: RecordedPath | None = None
-        self.is_panel_open = True
+        self.notice = NoticeClock()
+        self.is_help_open = False
         self.camera_index = 0
+        self.typed_path = ""
         self._saved_views = SavedViews(default_file())
+        self._preferences_file = PreferencesFile(default_file().with_name("window.json"))
+        self.preferences = self._preferences_file.load()
+        self._wants_panel = has_room_for_panel(window.size[0], self.text_scale)
+        self._dialog: FileDialog | None = None
         self._deferred: list[Callable[[], None]] = []
+
+    @property
+    def text_scale(self) -> float:
+        """Scale of text and widgets, which is usually the display's scale factor.
+
+        If one window coordinate covers more than one pixel of the framebuffer, the result is 1. Sizes of text and
+        widgets are in window coordinates, so on such a display, text is enlarged without an additional scale factor.
+        """
+        is_scaled = self.window.framebuffer_size[0] > self.window.size[0]
+        return 1.0 if is_scaled else self.window.content_scale
+
+    @property
+    def layout(self) -> Layout:
+        """The parts of the window."""
+        has_scene = self.session.scene is not None
+        return Layout(self.window.size, self.text_scale, self.is_panel_open, has_bar=has_scene)
+
+    @property
+    def is_panel_open(self) -> bool:
+        """Whether the panel is visible."""
+        return self._wants_panel and self.session.scene is not None
+
+    def toggle_panel(self, is_open: bool | None = None) -> None:
+        """Show or hide the panel, or set whether it is open."""
+        self._wants_panel = not self._wants_panel if is_open is None else is_open
+
+    @property
+    def picture_shift(self) -> tuple[float, float]:
+        """Distance (right, down) in whole pixels from the middle of the window to the middle of the free area."""
+        free, (width, height) = self.layout.free.scaled(self._pixels_per_unit), self.window.framebuffer_size
+        x, y = free.centre
+        return float(round(x - width / 2)), float(round(y - height / 2))
+
+    @property
+    def _room(self) -> tuple[float, float]:
+        """(width, height) of the free area in pixels."""
+        free = self.layout.free.scaled(self._pixels_per_unit)
+        return free.width, free.height
+
+    @property
+    def _pixels_per_unit(self) -> float:
+        return self.window.framebuffer_size[0] / max(self.window.size[0], 1)
 
     def defer(self, action: Callable[[], None]) -> None:
         """Run ``action`` after the current image is finished.
@@ -73,8 +128,13 @@ class ViewerState:
     def show_scene(self, scene: LoadedScene) -> None:
         """Show ``scene`` instead of the open scene, from its saved view or, if it has none, its initial view."""
         self.save_view()
-        size = self.window.framebuffer_size
-        self.session.show(scene, self._saved_views.load(scene.path) or scene.initial_pose(size))
+        saved = self._saved_views.load(scene.path)
+        self.session.show(scene, scene.initial_pose(self.window.framebuffer_size), is_free=False)
+        # The room for the picture depends on the panel and the bar, which are there from now on.
+        size, room = self.window.framebuffer_size, self._room
+        self.session.pose = scene.initial_pose(size, room) if saved is None else saved
+        self.session.is_free, self.camera_index = saved is not None, 0
+        self.set_preferences(self.preferences.with_recent(scene.path))
         self.renderer.reset()
         self.recorded_path = self.recorder = None
 
@@ -86,6 +146,35 @@ class ViewerState:
             self.session.choose_shade_map(path)
         else:
             self.session.open(path)
+
+    def choose_file(self) -> None:
+        """Let the user choose the file of a scene in the system's dialog."""
+        if not has_file_dialogs():
+            self.session.message = "expected zenity or kdialog to choose a file, got none; drop the file on the window"
+        elif self._dialog is None:
+            self._dialog = FileDialog("file")
+
+    def choose_folder(self) -> None:
+        """Let the user choose the folder of a run in the system's dialog."""
+        if self._dialog is None and has_file_dialogs():
+            self._dialog = FileDialog("folder")
+
+    def take_chosen_path(self) -> Path | None:
+        """Return the path that the user has chosen in the dialog since the last call, or None."""
+        if self._dialog is None or not self._dialog.is_done:
+            return None
+        dialog, self._dialog = self._dialog, None
+        return dialog.result()
+
+    def recent_scenes(self) -> list[Path]:
+        """Return the scenes that were opened last and are still there, the newest first."""
+        return [path for path in map(Path, self.preferences.recent) if path.exists()]
+
+    def set_preferences(self, preferences: Preferences) -> None:
+        """Change and store what the viewer remembers."""
+        if preferences != self.preferences:
+            self.preferences = preferences
+            self._preferences_file.save(preferences)
 
     def save_style(self) -> None:
         """Write the style to a YAML file in the working directory."""
@@ -110,15 +199,16 @@ class ViewerState:
         """Start a transition to a camera of the capture."""
         if self.session.scene is not None:
             self.camera_index = index
-            self.session.move_to(self.session.scene.camera_pose(index, self.window.framebuffer_size))
+            self.session.move_to(self.session.scene.camera_pose(index, self.window.framebuffer_size, self._room))
 
     def move_to_initial_view(self) -> None:
         """Start a transition to the initial view of the scene."""
         if self.session.scene is not None:
-            self.session.move_to(self.session.scene.initial_pose(self.window.framebuffer_size))
+            self.camera_index = 0
+            self.session.move_to(self.session.scene.initial_pose(self.window.framebuffer_size, self._room))
 
     def take_screenshot(self) -> None:
-        """Write the image, without the panel, to a PNG in the working directory."""
+        """Write the image to a PNG in the working directory, without the panel and with the picture in its middle."""
         if self.session.scene is None:
             return
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 PARTS = ("draw", "style", "panel", "present")
 HISTORY = 120
 """Number of images whose times are kept."""
+_SLOWEST_SECONDS = 6.0
+"""Three images that were drawn within this time still count as images that are drawn again and again."""
 
 
 class Timings:
@@ -20,6 +23,19 @@ class Timings:
     def __init__(self) -> None:
         self._history = np.zeros((HISTORY, len(PARTS)))
         self._current = dict.fromkeys(PARTS, 0.0)
+        self._drawn: deque[float] = deque(maxlen=HISTORY)
+
+    def count_image(self, now: float) -> None:
+        """Count an image of the scene that was drawn at the time ``now`` in seconds."""
+        self._drawn.append(now)
+
+    def images_per_second(self, now: float) -> float:
+        """Return the images of the scene that were drawn per second, in the last second before the time ``now``. The
+        result is 0 while the scene is not drawn again and again, for example while it is paused."""
+        recent = [time for time in self._drawn if now - time < 1.0]
+        if len(recent) < 3:
+            recent = [time for time in list(self._drawn)[-3:] if now - time < _SLOWEST_SECONDS]
+        return (len(recent) - 1) / (recent[-1] - recent[0]) if len(recent) > 2 and recent[-1] > recent[0] else 0.0
 
     @contextmanager
     def measure(self, part: str) -> Iterator[None]:

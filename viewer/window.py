@@ -25,6 +25,7 @@ class Window:
         self._dropped: list[Path] = []
         self._had_input = True
         self._title = title
+        self._windowed: tuple[int, int, int, int] | None = None  # position and size before full screen
         glfw.ERROR_REPORTING = "ignore"
         glfw.set_error_callback(self._store_error)
         if not glfw.init():
@@ -72,6 +73,30 @@ class Window:
     def should_close(self) -> bool:
         """Whether the user has closed the window."""
         return bool(self._glfw.window_should_close(self.handle))
+
+    @property
+    def is_full_screen(self) -> bool:
+        """Whether the window fills the screen, without a frame."""
+        return self._windowed is not None
+
+    def toggle_full_screen(self) -> None:
+        """Fill the screen that has most of the window, or return to the previous position and size."""
+        glfw = self._glfw
+        if self._windowed is not None:
+            glfw.set_window_monitor(self.handle, None, *self._windowed, glfw.DONT_CARE)
+            self._windowed = None
+            return
+        position, size = glfw.get_window_pos(self.handle), glfw.get_window_size(self.handle)
+        monitor = self._nearest_monitor(position[0] + size[0] / 2, position[1] + size[1] / 2)
+        if monitor is None:
+            return
+        self._windowed = (*position, *size)
+        mode = glfw.get_video_mode(monitor)
+        glfw.set_window_monitor(self.handle, monitor, 0, 0, mode.size.width, mode.size.height, mode.refresh_rate)
+
+    def close(self) -> None:
+        """Ask the event loop to end, as if the user had closed the window."""
+        self._glfw.set_window_should_close(self.handle, True)
 
     def set_title(self, text: str) -> None:
         """Set the title if ``text`` differs from the current title.
@@ -149,6 +174,16 @@ class Window:
         self._glfw.destroy_window(self.handle)
         self._glfw.terminate()
 
+    def _nearest_monitor(self, x: float, y: float) -> Any:
+        """Return the monitor whose middle is nearest to a position, or None if there are no monitors."""
+
+        def distance(monitor: Any) -> float:
+            left, top = self._glfw.get_monitor_pos(monitor)
+            size = self._glfw.get_video_mode(monitor).size
+            return abs(left + size.width / 2 - x) + abs(top + size.height / 2 - y)
+
+        return min(self._glfw.get_monitors(), key=distance, default=None)
+
     def _store_error(self, code: int, text: str) -> None:
         self._error = text.decode(errors="replace") if isinstance(text, bytes) else text
 
@@ -184,10 +219,12 @@ def _make_ui_backend(handle: Any) -> Any:
     from imgui_bundle import imgui, implot
     from imgui_bundle.python_backends.glfw_backend import GlfwRenderer
 
+    from fourd.viewer.interface.theme import load_fonts
+
     imgui.create_context()
     implot.create_context()
     imgui.get_io().set_ini_filename("")  # do not write imgui.ini to the working directory
-    imgui.style_colors_dark()
+    load_fonts()
     return GlfwRenderer(handle, attach_callbacks=False)
 
 

@@ -48,13 +48,16 @@ class Pose:
         """Position (3,) of the eye in world units."""
         return self.pivot - self.distance * self.rotation[2]
 
-    def camera(self, width: int, height: int) -> Camera:
-        """Return the camera of this pose for an image of ``width`` x ``height`` pixels."""
+    def camera(self, width: int, height: int, shift: tuple[float, float] = (0.0, 0.0)) -> Camera:
+        """Return the camera of this pose for an image of ``width`` x ``height`` pixels.
+
+        ``shift`` moves the picture right and down, in pixels, without distorting it.
+        """
         focal = height / 2 / np.tan(self.field_of_view / 2)
         intrinsics = np.array(
             [
-                [focal, 0, width / 2 + self.offset[0] * height],
-                [0, focal, height / 2 + self.offset[1] * height],
+                [focal, 0, width / 2 + self.offset[0] * height + shift[0]],
+                [0, focal, height / 2 + self.offset[1] * height + shift[1]],
                 [0, 0, 1],
             ]
         )
@@ -102,14 +105,22 @@ class Pose:
         return replace(self, field_of_view=float(np.clip(radians, MIN_FIELD_OF_VIEW, MAX_FIELD_OF_VIEW)))
 
 
-def pose_from_camera(camera: Camera, focus: Sequence[float] | Array, up: Array, size: tuple[int, int]) -> Pose:
+def pose_from_camera(
+    camera: Camera,
+    focus: Sequence[float] | Array,
+    up: Array,
+    size: tuple[int, int],
+    room: tuple[float, float] | None = None,
+) -> Pose:
     """Return the pose whose image of ``size`` (width, height) contains the whole image of ``camera``.
 
+    If ``room`` is given, the image of ``camera`` fits into this (width, height) around the middle of the image.
     The pivot is the point on the viewing axis that is nearest to ``focus``. If this point is behind the camera, the
     pivot is 1 world unit in front of the camera.
     """
-    width, height = size
-    zoom = min(width / camera.width, height / camera.height)
+    height = size[1]
+    room = size if room is None else room
+    zoom = min(room[0] / camera.width, room[1] / camera.height)
     # A pose has a single focal length, because its pixels are square. The shorter of the camera's two focal lengths
     # avoids cropping.
     focal = zoom * float(min(camera.intrinsics[0, 0], camera.intrinsics[1, 1]))

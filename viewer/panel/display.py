@@ -7,6 +7,7 @@ from dataclasses import replace
 from imgui_bundle import imgui
 
 from fourd.viewer.display import MAX_SCALE, MIN_SCALE
+from fourd.viewer.interface.theme import THEMES
 from fourd.viewer.panel.section import Section
 from fourd.viewer.state import ViewerState
 
@@ -29,10 +30,14 @@ def _draw(state: ViewerState) -> None:
     if changed:
         red, green, blue = (min(max(float(value), 0.0), 1.0) for value in colour)
         session.settings = replace(session.settings, background=(red, green, blue))
+    theme = state.preferences.theme
+    changed, index = imgui.combo("theme", THEMES.index(theme), list(THEMES))
+    if changed:
+        state.set_preferences(replace(state.preferences, theme=THEMES[index]))
 
 
 def _scale_slider(label: str, value: float) -> tuple[bool, float]:
     return imgui.slider_float(label, value, MIN_SCALE, MAX_SCALE, "%.2f x", imgui.SliderFlags_.logarithmic)
 
 
-DISPLAY = Section("Display", _draw)
+DISPLAY = Section("Display", _draw, is_open=False)

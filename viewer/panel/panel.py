@@ -5,37 +5,35 @@ from __future__ import annotations
 from imgui_bundle import imgui
 
 from fourd.viewer.panel.display import DISPLAY
-from fourd.viewer.panel.help import HELP
-from fourd.viewer.panel.notices import MARGIN, draw_notices
 from fourd.viewer.panel.output import OUTPUT
-from fourd.viewer.panel.playback import PLAYBACK
 from fourd.viewer.panel.renderer import RENDERER
 from fourd.viewer.panel.scene import SCENE
-from fourd.viewer.panel.section import PANEL_WIDTH, Section, text_scale
+from fourd.viewer.panel.section import Section
 from fourd.viewer.panel.style import STYLE
 from fourd.viewer.panel.viewpoint import VIEWPOINT
 from fourd.viewer.state import ViewerState
 
-SECTIONS: tuple[Section, ...] = (SCENE, PLAYBACK, VIEWPOINT, DISPLAY, STYLE, OUTPUT, RENDERER, HELP)
+SECTIONS: tuple[Section, ...] = (SCENE, VIEWPOINT, STYLE, OUTPUT, DISPLAY, RENDERER)
 """The sections of the panel, from top to bottom."""
 
-_LABEL_WIDTH = 110.0
+_LABEL_WIDTH = 96.0
+_FLAGS = (
+    imgui.WindowFlags_.no_title_bar
+    | imgui.WindowFlags_.no_resize
+    | imgui.WindowFlags_.no_move
+    | imgui.WindowFlags_.no_saved_settings
+    | imgui.WindowFlags_.no_nav
+)
 
 
 def draw_panel(state: ViewerState) -> None:
-    """Draw the notices and, if the panel is open, its sections."""
-    scale = text_scale(state)
-    imgui.get_style().font_scale_dpi = scale
-    if state.is_panel_open:
-        _draw_sections(state, scale)
-    draw_notices(state)
-
-
-def _draw_sections(state: ViewerState, scale: float) -> None:
-    imgui.set_next_window_pos(imgui.ImVec2(MARGIN, MARGIN), imgui.Cond_.first_use_ever)
-    height, width = max(state.window.size[1] - 2 * MARGIN, 100.0), scale * PANEL_WIDTH
-    imgui.set_next_window_size_constraints(imgui.ImVec2(width, 60), imgui.ImVec2(2 * width, height))
-    imgui.begin("fourd", None, imgui.WindowFlags_.always_auto_resize)
+    """Draw the panel at the left edge of the window."""
+    area, scale = state.layout.panel, state.text_scale
+    imgui.set_next_window_pos(imgui.ImVec2(area.left, area.top))
+    imgui.set_next_window_size(imgui.ImVec2(area.width, area.height))
+    imgui.push_style_var(imgui.StyleVar_.window_rounding, 0.0)
+    imgui.begin("fourd", None, _FLAGS)
+    imgui.pop_style_var()
     imgui.push_item_width(-_LABEL_WIDTH * scale)
     for section in SECTIONS:
         if section.needs_scene and state.session.scene is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from imgui_bundle import imgui, implot
 
-from fourd.viewer.panel.section import PANEL_WIDTH, Section, text_scale
+from fourd.viewer.panel.section import Section
 from fourd.viewer.rendering.renderers import RENDERERS
 from fourd.viewer.state import ViewerState
 from fourd.viewer.timings import PARTS
@@ -32,8 +32,7 @@ def _draw(state: ViewerState) -> None:
 def _draw_plot(state: ViewerState, parts: list[str]) -> None:
     """Draw a stacked plot of the times of ``parts``, the parts of the work for an image, such as "draw" or "panel"."""
     tops = state.timings.cumulative()
-    scale = text_scale(state)
-    size = imgui.ImVec2(scale * (PANEL_WIDTH - 20), scale * _PLOT_HEIGHT)
+    size = imgui.ImVec2(imgui.get_content_region_avail().x, state.text_scale * _PLOT_HEIGHT)
     bare_axis = implot.AxisFlags_.no_tick_labels | implot.AxisFlags_.no_grid_lines
     if not implot.begin_plot("##times", size, implot.Flags_.no_inputs | implot.Flags_.no_title):
         return
@@ -49,4 +48,4 @@ def _draw_plot(state: ViewerState, parts: list[str]) -> None:
     implot.end_plot()
 
 
-RENDERER = Section("Renderer", _draw, needs_scene=False)
+RENDERER = Section("Renderer", _draw, needs_scene=False, is_open=False)

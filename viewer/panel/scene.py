@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from imgui_bundle import imgui
 
 from fourd.viewer.panel.section import Section
@@ -10,9 +12,7 @@ from fourd.viewer.state import ViewerState
 
 def _draw(state: ViewerState) -> None:
     scene = state.session.scene
-    if scene is None:
-        imgui.text_wrapped("Drop a .4dv file or a run's folder on this window.")
-        return
+    assert scene is not None
     imgui.text_wrapped(scene.path.name)
     manifest = scene.manifest
     points = f", {max(manifest.points):,} points" if manifest.points else ""
@@ -21,6 +21,15 @@ def _draw(state: ViewerState) -> None:
         imgui.text_disabled(f"background: {manifest.background.points:,} points")
     if scene.checkpoint:
         imgui.text_disabled(f"checkpoint: {scene.checkpoint}")
+    imgui.text_disabled(rate_text(state.renderer.choice.name, state.timings.images_per_second(time.monotonic())))
+    if imgui.button("Open..."):
+        state.defer(state.choose_file)
 
 
-SCENE = Section("", _draw, needs_scene=False)
+def rate_text(renderer: str, images_per_second: float) -> str:
+    """Return the name of the renderer and the images that it draws per second, or that it rests."""
+    rate = f"{images_per_second:.0f}" if images_per_second >= 9.5 else f"{images_per_second:.1f}"
+    return f"{renderer}: {rate} images per second" if images_per_second else f"{renderer}: at rest"
+
+
+SCENE = Section("", _draw)

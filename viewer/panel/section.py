@@ -7,9 +7,6 @@ from dataclasses import dataclass
 
 from fourd.viewer.state import ViewerState
 
-PANEL_WIDTH = 320.0
-"""Minimum width of the panel at a text scale of 1, in window coordinates."""
-
 
 @dataclass(frozen=True)
 class Section:
@@ -26,13 +23,3 @@ class Section:
     draw: Callable[[ViewerState], None]
     needs_scene: bool = True
     is_open: bool = True
-
-
-def text_scale(state: ViewerState) -> float:
-    """Return the scale of text and widgets, which is usually the display's scale factor.
-
-    If one window coordinate covers more than one pixel of the framebuffer, the result is 1. Sizes of text and widgets
-    are in window coordinates, so on such a display, text is enlarged without an additional scale factor.
-    """
-    is_scaled = state.window.framebuffer_size[0] > state.window.size[0]
-    return 1.0 if is_scaled else state.window.content_scale

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from imgui_bundle import imgui
 
@@ -9,16 +11,16 @@ from fourd.viewer.navigation.pose import MAX_FIELD_OF_VIEW, MIN_FIELD_OF_VIEW
 from fourd.viewer.panel.section import Section
 from fourd.viewer.state import ViewerState
 
+FREE = "free"
+"""Name of a view that is not that of a camera."""
+
 
 def _draw(state: ViewerState) -> None:
     scene, pose = state.session.scene, state.session.pose
     if scene is None or pose is None:
         return
     if scene.manifest.cameras:
-        state.camera_index = min(state.camera_index, len(scene.manifest.cameras) - 1)
-        changed, index = imgui.combo("camera", state.camera_index, list(scene.manifest.names))
-        if changed:
-            state.move_to_camera(index)
+        _draw_cameras(state, scene.manifest.names)
     changed, degrees = imgui.slider_float(
         "field of view",
         float(np.degrees(pose.field_of_view)),
@@ -30,6 +32,17 @@ def _draw(state: ViewerState) -> None:
         state.session.set_pose(pose.with_field_of_view(float(np.radians(degrees))))
     if imgui.button("Initial view"):
         state.move_to_initial_view()
+
+
+def _draw_cameras(state: ViewerState, names: Sequence[str]) -> None:
+    """Draw the list of cameras, which shows "free" while the view is not that of a camera."""
+    is_free = state.session.is_free
+    if not imgui.begin_combo("camera", FREE if is_free else names[state.camera_index]):
+        return
+    for index, name in enumerate(names):
+        if imgui.selectable(f"{name}##{index}", not is_free and index == state.camera_index)[0]:
+            state.move_to_camera(index)
+    imgui.end_combo()
 
 
 VIEWPOINT = Section("Viewpoint", _draw)

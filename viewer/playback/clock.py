@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+SPEEDS = (-1.0, -0.5, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
+"""Speeds that the time bar offers. At a negative speed, the scene plays backwards."""
+
 
 @dataclass
 class Playback:

@@ -1,0 +1,1 @@
+"""What the window draws over the picture: time bar, start screen, help and notices."""
