@@ -12,6 +12,7 @@ from fourd.base.errors import UserError
 from fourd.scene.styles.tables import ShadeMapError
 from fourd.viewer.controls import handle_navigation
 from fourd.viewer.display import DisplaySettings, RenderRequest
+from fourd.viewer.interface.theme import PALETTES
 from fourd.viewer.keys import handle_keys
 from fourd.viewer.overlay.overlay import draw_overlay
 from fourd.viewer.rendering.renderers import RendererName
@@ -118,7 +119,7 @@ class App:
         if request is not None and is_drawn:
             self._draw(request)
         with state.timings.measure("panel"):
-            state.renderer.present(shows_image=request is not None)
+            state.renderer.present(shows_image=request is not None, empty=PALETTES[state.preferences.theme].start)
             window.begin_ui()
             handle_keys(state)
             draw_overlay(state)

@@ -12,6 +12,9 @@ from fourd.scene.styles import Style
 
 MIN_SCALE, MAX_SCALE = 0.1, 10.0
 """Smallest and largest scale factor for point size and density in the panel."""
+WINDOW_BACKGROUND = (0.09, 0.094, 0.102)
+"""Background colour of the window, unless the user chooses another one: a dark grey, on which dark contours and the
+outlines of cartoons are visible."""
 
 
 @dataclass(frozen=True)

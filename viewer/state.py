@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from fourd.viewer.loaded_scene import LoadedScene
 from fourd.viewer.navigation.preferences import Preferences, PreferencesFile
 from fourd.viewer.navigation.recorded_path import PathRecorder, PathSample, RecordedPath
 from fourd.viewer.navigation.saved_views import SavedViews, default_file
-from fourd.viewer.output.png import write_png
+from fourd.viewer.output.png import with_alpha, write_png
 from fourd.viewer.progress_window import draw_progress
 from fourd.viewer.rendering.renderer_name import RendererName
 from fourd.viewer.session import Session
@@ -47,6 +48,7 @@ class ViewerState:
         preferences: what the viewer remembers from one start to the next.
         is_help_open: whether the help is visible.
         camera_index: index of the capture camera that was selected last.
+        has_alpha: whether screenshots have an alpha channel instead of a background.
         typed_path: what the user has typed as the path of a scene to open.
     """
 
@@ -60,6 +62,7 @@ class ViewerState:
         self.notice = NoticeClock()
         self.is_help_open = False
         self.camera_index = 0
+        self.has_alpha = False
         self.typed_path = ""
         self._saved_views = SavedViews(default_file())
         self._preferences_file = PreferencesFile(default_file().with_name("window.json"))
@@ -212,14 +215,26 @@ class ViewerState:
         if self.session.scene is None:
             return
         try:
-            image = self.renderer.draw_exact()
+            request = self.session.render_request(self.window.framebuffer_size, wait=True)
+            if request is None:
+                return
+            image = self._transparent_image(request) if self.has_alpha else self.renderer.draw_exact(request)
         except UserError as error:
             self.session.message = str(error)
             return
-        if image is None:
-            return
         path = unused_path(self.session.scene.path.stem, ".png")
         self._write(path, lambda: write_png(path, image))
+
+    def _transparent_image(self, request: RenderRequest) -> NDArray[np.uint8]:
+        """Return the image (H, W, 4) of a request without its background."""
+        black, white = (
+            self.renderer.draw_exact(
+                replace(request, settings=replace(request.settings, background=(grey, grey, grey)))
+            ).astype(np.float32)
+            / np.float32(255)
+            for grey in (0.0, 1.0)
+        )
+        return with_alpha(black, white)
 
     def toggle_recording(self) -> None:
         """Start or stop recording the camera path.

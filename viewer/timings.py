@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 PARTS = ("draw", "style", "panel", "present")
 HISTORY = 120
 """Number of images whose times are kept."""
-_SLOWEST_SECONDS = 6.0
-"""Three images that were drawn within this time still count as images that are drawn again and again."""
+_FEWEST = 3
+"""Smallest number of images from which a rate is computed."""
+_SLOWEST_SECONDS = 3.0
+"""Images at larger intervals do not count as images that are drawn again and again."""
 
 
 class Timings:
@@ -33,9 +35,13 @@ class Timings:
         """Return the images of the scene that were drawn per second, in the last second before the time ``now``. The
         result is 0 while the scene is not drawn again and again, for example while it is paused."""
         recent = [time for time in self._drawn if now - time < 1.0]
-        if len(recent) < 3:
-            recent = [time for time in list(self._drawn)[-3:] if now - time < _SLOWEST_SECONDS]
-        return (len(recent) - 1) / (recent[-1] - recent[0]) if len(recent) > 2 and recent[-1] > recent[0] else 0.0
+        if len(recent) < _FEWEST:
+            recent = list(self._drawn)[-_FEWEST:]
+        if len(recent) < _FEWEST:
+            return 0.0
+        interval = (recent[-1] - recent[0]) / (len(recent) - 1)
+        goes_on = now - recent[-1] < max(0.5, 3 * interval)
+        return 1 / interval if goes_on and 0 < interval < _SLOWEST_SECONDS else 0.0
 
     @contextmanager
     def measure(self, part: str) -> Iterator[None]:

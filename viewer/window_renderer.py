@@ -81,17 +81,16 @@ class WindowRenderer:
             self._unsettled_images = _images_to_settle(style.persistence)
         self._drawn = request
 
-    def draw_exact(self) -> NDArray[np.uint8] | None:
-        """Draw the last request in its own depth order, not in that of an earlier request. Return the image as a
-        uint8 array (H, W, 3), or None before the first request."""
-        if self._drawn is None:
-            return None
-        self.renderer.draw(self._drawn, self._canvas, wait=True)
+    def draw_exact(self, request: RenderRequest) -> NDArray[np.uint8]:
+        """Draw a request in its own depth order, not in that of an earlier request. Return the image as a uint8 array
+        (H, W, 3). The window's image must be drawn again afterwards. Raises UserError."""
+        self._drawn = None
+        self.renderer.draw(request, self._canvas, wait=True)
         return self._canvas.read_rgb8()
 
-    def present(self, shows_image: bool) -> None:
+    def present(self, shows_image: bool, empty: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
         """Copy the canvas to the window's back buffer. If ``shows_image`` is False, or if the canvas does not have the
-        window's size, clear the back buffer instead."""
+        window's size, fill the back buffer with the colour ``empty`` instead."""
         size = self.window.framebuffer_size
         if self._screen is None or self._screen.size != size:
             self._screen = self.context.detect_framebuffer(0)
@@ -100,7 +99,7 @@ class WindowRenderer:
             self.window.copy_framebuffer(self._canvas.framebuffer(*size).glo)
             self._screen.use()
         else:
-            self._screen.clear()
+            self._screen.clear(*empty)
 
     def _is_last(self, request: RenderRequest) -> bool:
         """Return True if a request is equal to the last one."""

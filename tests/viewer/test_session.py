@@ -263,3 +263,31 @@ def test_memory_stays_flat_over_many_frames_and_openings(tmp_path: Path) -> None
     assert len(os.listdir("/proc/self/fd")) == files
     assert threading.active_count() == threads
     session.close()
+
+
+def test_the_view_is_free_after_the_user_has_moved_it(scene: Path) -> None:
+    """Catches a list of cameras that names a camera after the user has left its view."""
+    session = Session(DisplaySettings())
+    found = open_scene(session, scene)
+    assert not session.is_free
+    assert session.pose is not None
+    session.set_pose(session.pose.orbit(0.1, 0.0))
+    assert session.is_free
+    session.move_to(found.camera_pose(0, SIZE))
+    session.advance(TRANSITION_SECONDS / 2)
+    assert not session.is_free
+    session.close()
+
+
+def test_a_shift_moves_the_picture_by_whole_pixels(scene: Path) -> None:
+    """Catches a picture that is scaled or turned, instead of moved, when the panel opens."""
+    session = Session(DisplaySettings())
+    open_scene(session, scene)
+    plain, moved = (session.render_request(SIZE, wait=True, shift=shift) for shift in ((0.0, 0.0), (7.0, -3.0)))
+    assert plain is not None
+    assert moved is not None
+    with OffscreenRenderer("cpu") as renderer:
+        before, after = renderer.render(plain), renderer.render(moved)
+    assert before.any()
+    assert np.array_equal(after[:-3, 7:], before[3:, :-7])
+    session.close()

@@ -15,6 +15,10 @@ from tests.viewer.scenes import write_shells
 from tests.viewer.screen import Screen, Viewer, screen, set_dpi
 
 SIZE = (900, 700)
+PANEL_WIDTH, BAR_HEIGHT = 300, 56
+PLAY = (103, SIZE[1] - BAR_HEIGHT // 2)
+"""Position of the button that plays and pauses."""
+BLACK = ("--background", "0", "0", "0")
 
 
 @pytest.fixture(scope="module")
@@ -32,8 +36,8 @@ def scene(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def viewer(display: Screen, scene: Path, tmp_path: Path) -> Iterator[Viewer]:
-    opened = Viewer(display, tmp_path, str(scene), "--size", str(SIZE[0]), str(SIZE[1]))
-    opened.until(lambda: "ball.4dv" in opened.title and foreground_share(opened) > 0.005, "the scene in its window")
+    opened = Viewer(display, tmp_path, str(scene), "--size", str(SIZE[0]), str(SIZE[1]), *BLACK)
+    opened.until(lambda: "ball.4dv" in opened.title and shows_scene(opened), "the scene in its window")
     hide_panel(opened)
     yield opened
     assert opened.close() == 0, opened.log
@@ -47,8 +51,13 @@ def hide_panel(viewer: Viewer) -> None:
 
 
 def window_image(viewer: Viewer) -> NDArray[np.uint8]:
-    """Image (H, W, 3) uint8 of the window."""
-    return viewer.picture()[: SIZE[1], : SIZE[0]]
+    """Image (H, W, 3) uint8 of the window above its time bar."""
+    return viewer.picture()[: SIZE[1] - BAR_HEIGHT, : SIZE[0]]
+
+
+def shows_scene(viewer: Viewer) -> bool:
+    """Whether something is visible beside the panel."""
+    return bool((window_image(viewer)[:, PANEL_WIDTH + 20 :].max(axis=2) > 40).mean() > 0.005)
 
 
 def stable_image(viewer: Viewer) -> NDArray[np.uint8]:
@@ -137,6 +146,8 @@ def test_held_keys_fly(viewer: Viewer) -> None:
 def test_keys_move_to_capture_cameras_and_back(viewer: Viewer) -> None:
     """Catches a transition to a wrong camera, and a key 0 that does not restore the initial view."""
     pause_at(viewer, "Home", 1)
+    viewer.key("0")  # the scene was opened with the panel, beside which it was smaller
+    time.sleep(1.0)
     first = stable_image(viewer)
     viewer.key("n")
     viewer.until(lambda: not close(stable_image(viewer), first), "another camera's view")
@@ -187,13 +198,13 @@ def test_gl_renderers_survive_a_change_of_scene(name: str, viewer: Viewer, scene
     for path in (other, scene, other):
         viewer.drop(path)
         viewer.until(lambda path=path: path.name in viewer.title, path.name)
-        viewer.until(lambda: foreground_share(viewer) > 0.005, "the scene")
+        viewer.until(lambda: shows_scene(viewer), "the scene")
 
 
 def test_screenshots_recordings_and_the_last_view(display: Screen, scene: Path, tmp_path: Path) -> None:
     """Catches screenshots that include the panel, and a view that is lost when the window closes."""
-    first = Viewer(display, tmp_path, str(scene), "--size", str(SIZE[0]), str(SIZE[1]))
-    first.until(lambda: foreground_share(first) > 0.005, "the scene")
+    first = Viewer(display, tmp_path, str(scene), "--size", str(SIZE[0]), str(SIZE[1]), *BLACK)
+    first.until(lambda: shows_scene(first), "the scene")
     pause_at(first, "Home", 1)
     first.drag((600, 350), (640, 330))
     first.key("F12")
@@ -202,22 +213,23 @@ def test_screenshots_recordings_and_the_last_view(display: Screen, scene: Path, 
     assert screenshot.shape == (SIZE[1], SIZE[0], 3)
     assert not screenshot[:30, :200].any(), "the screenshot includes the panel"
     hide_panel(first)
-    first.until(lambda: close(window_image(first)[:600], screenshot[:600]), "the picture of the window")
+    half = BAR_HEIGHT // 2  # the picture is centred in the window above the bar, and in the whole screenshot
+    first.until(lambda: close(window_image(first)[:550], screenshot[half : 550 + half]), "the picture of the window")
     first.key("F9")
     first.drag((600, 350), (700, 350))
     first.key("F9")
     first.until(lambda: (tmp_path / "ball-001.path.json").exists(), "a recorded path")
-    last_view = stable_image(first)[:600]
+    last_view = stable_image(first)[:550]
     assert first.close() == 0
-    again = Viewer(display, tmp_path, str(scene), "--size", str(SIZE[0]), str(SIZE[1]))
-    again.until(lambda: foreground_share(again) > 0.005, "the scene")
+    again = Viewer(display, tmp_path, str(scene), "--size", str(SIZE[0]), str(SIZE[1]), *BLACK)
+    again.until(lambda: shows_scene(again), "the scene")
     hide_panel(again)
     pause_at(again, "Home", 1)
-    again.until(lambda: close(window_image(again)[:600], last_view), "the saved view")
+    again.until(lambda: close(window_image(again)[:550], last_view), "the saved view")
     again.key("Tab")
     again.until(lambda: again.picture()[15, 30].any(), "the panel")
-    again.click(40, 104)
-    again.until(lambda: "playing" in again.title, "playing, after a click on the panel's button")
+    again.click(*PLAY)
+    again.until(lambda: "playing" in again.title, "playing, after a click on the bar's button")
     again.key("F10")
     again.until(lambda: not (tmp_path / "ball-001.mp4").exists(), "no video of a path of an earlier session")
     assert again.close() == 0
@@ -246,16 +258,16 @@ def test_a_minimised_window_comes_back(viewer: Viewer) -> None:
     viewer.screen.xdotool("windowunmap", viewer.window)
     viewer.until(lambda: not viewer.screen.xdotool("search", "--onlyvisible", "--name", "^fourd"), "no window")
     viewer.screen.xdotool("windowmap", viewer.window)
-    viewer.until(lambda: foreground_share(viewer) > 0.005, "the window again")
+    viewer.until(lambda: shows_scene(viewer), "the window again")
 
 
 def test_a_dense_display_scales_the_panel_and_the_image(scene: Path, tmp_path: Path) -> None:
     """Catches text at half size, and an image at half resolution, on a display scaled to 200%."""
     with screen(2000, 1500) as dense:
         set_dpi(dense.display, 192)
-        viewer = Viewer(dense, tmp_path, str(scene), "--size", "900", "700")
-        viewer.until(lambda: (viewer.picture()[:1400, :1800].max(axis=2) > 30).mean() > 0.005, "the scene")
-        viewer.until(lambda: viewer.picture()[15, 600].any(), "a panel of twice the width")
+        viewer = Viewer(dense, tmp_path, str(scene), "--size", "900", "700", *BLACK)
+        viewer.until(lambda: (viewer.picture()[:1250, 700:1800].max(axis=2) > 40).mean() > 0.005, "the scene")
+        viewer.until(lambda: viewer.picture()[15, 590].any(), "a panel of twice the width")
         pause_at(viewer, "Home", 1)
         viewer.key("F12")
         viewer.until(lambda: (tmp_path / "ball-001.png").exists(), "a screenshot")
@@ -267,8 +279,8 @@ def test_a_dense_display_scales_the_panel_and_the_image(scene: Path, tmp_path: P
 def test_opengl_3_3_is_enough(name: str, display: Screen, scene: Path, tmp_path: Path) -> None:
     """Catches OpenGL features of versions above 3.3. Old laptops have OpenGL 3.3, and macOS has OpenGL 4.1."""
     old = {"MESA_GL_VERSION_OVERRIDE": "3.3", "MESA_GLSL_VERSION_OVERRIDE": "330"}
-    viewer = Viewer(display, tmp_path, str(scene), "--size", "900", "700", "--renderer", name, variables=old)
-    viewer.until(lambda: viewer.title.endswith(f"- {name}") and foreground_share(viewer) > 0.005, "the scene")
+    viewer = Viewer(display, tmp_path, str(scene), "--size", "900", "700", *BLACK, "--renderer", name, variables=old)
+    viewer.until(lambda: viewer.title.endswith(f"- {name}") and shows_scene(viewer), "the scene")
     hide_panel(viewer)
     viewer.until(lambda: 0.02 < foreground_share(viewer) < 0.9, "the scene without the panel")
     assert viewer.close() == 0, viewer.log

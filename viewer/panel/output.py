@@ -11,6 +11,8 @@ from fourd.viewer.state import ViewerState
 def _draw(state: ViewerState) -> None:
     if imgui.button("Screenshot"):
         state.defer(state.take_screenshot)
+    imgui.same_line()
+    _, state.has_alpha = imgui.checkbox("transparent", state.has_alpha)
     recorder = state.recorder
     if imgui.button("Record path" if recorder is None else f"Stop ({recorder.seconds:.1f} s)"):
         state.defer(state.toggle_recording)

@@ -43,7 +43,9 @@ class Arguments:
     """Width and height of the window, the video or the image in pixels."""
     layers: Annotated[int | None, option("INT", "the scene's")] = None
     """Number of points composited per pixel (K), 1 to 64. Ignored by --renderer sorted, which composites all points."""
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    background: Annotated[
+        tuple[float, float, float] | None, option("R G B", "dark grey in a window, otherwise black")
+    ] = None
     """Background colour: red, green and blue, 0 to 1 each."""
     transparent: bool = False
     """Write the --screenshot with an alpha channel instead of a background."""
@@ -67,16 +69,16 @@ class Arguments:
 def run(arguments: Arguments) -> None:
     """Open a window, or write a video or an image."""
     from fourd.scene.styles import load_style
-    from fourd.viewer.display import DisplaySettings
+    from fourd.viewer.display import WINDOW_BACKGROUND, DisplaySettings
 
     console = Terminal(stderr=True)
-    check_rendering(
-        arguments.layers, arguments.background, size=arguments.size, steps=arguments.steps, fps=arguments.fps
-    )
+    has_window = arguments.headless is None and arguments.screenshot is None
+    background = arguments.background or (WINDOW_BACKGROUND if has_window else (0.0, 0.0, 0.0))
+    check_rendering(arguments.layers, background, size=arguments.size, steps=arguments.steps, fps=arguments.fps)
     if arguments.transparent and (arguments.screenshot is None or arguments.headless is not None):
         raise UserError("--transparent: expected --screenshot FILE.png alone, got another output; videos have no alpha")
     style = None if arguments.style is None else load_style(arguments.style)
-    settings = DisplaySettings(layers=arguments.layers or 0, background=arguments.background, style=style)
+    settings = DisplaySettings(layers=arguments.layers or 0, background=background, style=style)
     with nullcontext() if arguments.source is None else local_copy(arguments.source, transfer_progress()) as source:
         _view(arguments, source, settings, console)
 

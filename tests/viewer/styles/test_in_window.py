@@ -14,10 +14,20 @@ from fourd.scene.styles import Style, load_style
 from tests.stylize.test_styles import write_map
 from tests.viewer.scenes import write_shells
 from tests.viewer.screen import Screen, Viewer, screen
-from tests.viewer.test_window import SIZE, close, foreground_share, hide_panel, pause_at, stable_image, window_image
+from tests.viewer.test_window import (
+    BAR_HEIGHT,
+    BLACK,
+    SIZE,
+    close,
+    hide_panel,
+    pause_at,
+    shows_scene,
+    stable_image,
+    window_image,
+)
 
-NOTICE = slice(SIZE[1] - 60, SIZE[1] - 5)
-SAVE, RESET, LIGHT = (35, 443), (82, 443), (60, 480)
+NOTICE = slice(SIZE[1] - BAR_HEIGHT - 60, SIZE[1] - BAR_HEIGHT - 5)
+SAVE, RESET, LIGHT = (37, 314), (93, 314), (60, 363)
 """Positions of widgets of the panel for the style toon."""
 
 
@@ -31,8 +41,8 @@ def display() -> Iterator[Screen]:
 def viewer(display: Screen, tmp_path: Path) -> Iterator[Viewer]:
     """A paused viewer without its panel."""
     write_shells(tmp_path / "ball.4dv", frames=2)
-    opened = Viewer(display, tmp_path, "ball.4dv", "--size", str(SIZE[0]), str(SIZE[1]))
-    opened.until(lambda: "ball.4dv" in opened.title and foreground_share(opened) > 0.005, "the scene in its window")
+    opened = Viewer(display, tmp_path, "ball.4dv", "--size", str(SIZE[0]), str(SIZE[1]), *BLACK)
+    opened.until(lambda: "ball.4dv" in opened.title and shows_scene(opened), "the scene in its window")
     hide_panel(opened)
     pause_at(opened, "Home", 1)
     yield opened
@@ -42,12 +52,12 @@ def viewer(display: Screen, tmp_path: Path) -> Iterator[Viewer]:
 
 def picture(viewer: Viewer) -> NDArray[np.uint8]:
     """The stable image of the window above the notice."""
-    return stable_image(viewer)[: SIZE[1] - 120]
+    return stable_image(viewer)[: SIZE[1] - 150]
 
 
 def has_notice(viewer: Viewer) -> bool:
-    """Whether the white text of a notice is visible at the bottom of the window, where the scene is black."""
-    return bool((window_image(viewer)[NOTICE].min(axis=2) > 230).any())
+    """Whether the light text of a notice is visible above the time bar, where the scene is black."""
+    return bool((window_image(viewer)[NOTICE].min(axis=2) > 190).any())
 
 
 def drop_style(viewer: Viewer, path: Path, text: str) -> None:
@@ -115,7 +125,7 @@ def test_lines_have_their_strength_when_playback_is_paused(viewer: Viewer, tmp_p
     viewer.until(lambda: "frame 2/" in viewer.title, "frame 2")
     settled = picture(viewer)
     drop_style(viewer, tmp_path / "same.yaml", (tmp_path / "mine.yaml").read_text() + "\nhysteresis: 0.19")
-    viewer.until(lambda: not np.array_equal(window_image(viewer)[: SIZE[1] - 120], settled), "another picture")
+    viewer.until(lambda: not np.array_equal(window_image(viewer)[: SIZE[1] - 150], settled), "another picture")
     assert np.abs(picture(viewer)[..., 0].astype(float) - settled[..., 0]).mean() < 0.5
 
 
@@ -124,8 +134,8 @@ def test_the_panel_changes_saves_and_resets_a_style(display: Screen, tmp_path: P
     the window.
     """
     write_shells(tmp_path / "ball.4dv", frames=2)
-    viewer = Viewer(display, tmp_path, "ball.4dv", "--style", "toon", "--size", str(SIZE[0]), str(SIZE[1]))
-    viewer.until(lambda: "ball.4dv" in viewer.title and foreground_share(viewer) > 0.005, "the scene in its window")
+    viewer = Viewer(display, tmp_path, "ball.4dv", "--style", "toon", "--size", str(SIZE[0]), str(SIZE[1]), *BLACK)
+    viewer.until(lambda: "ball.4dv" in viewer.title and shows_scene(viewer), "the scene in its window")
     pause_at(viewer, "Home", 1)
 
     def saved(number: int) -> Style:
@@ -136,10 +146,10 @@ def test_the_panel_changes_saves_and_resets_a_style(display: Screen, tmp_path: P
 
     toon = load_style("toon")
     assert saved(1) == toon
-    scene = np.s_[:580, 350:]
+    scene = np.s_[:550, 350:]
     before = stable_image(viewer)[scene]
     viewer.click(*LIGHT)
-    viewer.drag((66, 501), (96, 501))
+    viewer.drag((50, 390), (90, 390))
     viewer.keep("panel")
     viewer.until(lambda: not close(window_image(viewer)[scene], before), "another light")
     changed = saved(2)

@@ -15,9 +15,12 @@ const HELP = [
   ["N, P", "next camera, previous camera"],
   ["0", "initial view"],
   ["L", "loop"],
+  ["T", "next style"],
   ["F", "full screen"],
   ["C", "copy a link to this view"],
   ["I", "save the image"],
+  ["?, H, F1", "help"],
+  ["Esc", "close the help"],
 ];
 
 /** The elements of the player in its shadow tree: image, buttons and messages. */

@@ -22,9 +22,15 @@ export function addShortcuts(player) {
     KeyF: () => player.toggleFullScreen(),
     KeyC: () => player.copyLink(),
     KeyI: () => player.saveImage(),
+    KeyT: () => nextStyle(player),
+    KeyH: () => toggleHelp(player),
+    F1: () => toggleHelp(player),
+    "?": () => toggleHelp(player),
+    Escape: () => (player.panel.help.hidden = true),
   };
   player.addEventListener("keydown", (event) => {
-    const action = actions[event.code];
+    // The question mark is another key on each keyboard layout.
+    const action = actions[event.key === "?" ? "?" : event.code];
     if (!action || event.ctrlKey || event.altKey || event.metaKey) return;
     // Buttons, lists and the time bar handle their keys themselves.
     const target = event.composedPath()[0];
@@ -61,4 +67,17 @@ function changeSpeed(player, direction) {
 function changeCamera(player, direction) {
   const count = player.stage?.manifest.cameras.length ?? 0;
   if (count) player.moveToCamera((player.cameraIndex + direction + count) % count);
+}
+
+/** @param {FourdPlayer} player */
+function nextStyle(player) {
+  const { list, name } = player.styleMenu;
+  if (list.hidden) return;
+  const names = [...list.options].map((option) => option.value);
+  player.styleMenu.choose(names[(names.indexOf(name) + 1) % names.length]);
+}
+
+/** @param {FourdPlayer} player */
+function toggleHelp(player) {
+  player.panel.help.hidden = !player.panel.help.hidden;
 }

@@ -1,0 +1,119 @@
+"""The user interface of the window: its layout, time bar, keys, start screen and screenshots."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.viewer.scenes import write_shells
+from tests.viewer.screen import Screen, Viewer, screen
+from tests.viewer.test_window import (
+    BAR_HEIGHT,
+    BLACK,
+    PANEL_WIDTH,
+    SIZE,
+    centre,
+    current_frame,
+    pause_at,
+    shows_scene,
+    stable_image,
+    window_image,
+)
+
+SMALL = (640, 400)
+TRANSPARENT, SCREENSHOT = (117, 346), (55, 346)
+"""Positions of the check box and of the button in the panel's section Output."""
+
+
+@pytest.fixture(scope="module")
+def display() -> Iterator[Screen]:
+    with screen() as made:
+        yield made
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "ball.4dv"
+    write_shells(path, frames=5)
+    return path
+
+
+def test_a_small_window_shows_the_subject_in_its_middle(display: Screen, scene: Path, tmp_path: Path) -> None:
+    """Catches a panel that hides the subject, a picture that the time bar covers, and a picture that is stretched or
+    stays behind the panel when the panel opens. Also catches keys that do not close the help or the window."""
+    viewer = Viewer(display, tmp_path, str(scene), "--size", str(SMALL[0]), str(SMALL[1]), *BLACK)
+    height = SMALL[1] - BAR_HEIGHT
+
+    def picture() -> np.ndarray:
+        return viewer.picture()[:height, : SMALL[0]]
+
+    viewer.until(lambda: (picture().max(axis=2) > 40).mean() > 0.01, "the scene")
+    pause_at(viewer, "Home", 1)
+    stable_image(viewer)
+    closed = picture()
+    assert np.abs(centre(closed) - (SMALL[0] / 2, height / 2)).max() < 5
+    viewer.key("Tab")
+    free = (SMALL[0] - PANEL_WIDTH) / 2 + PANEL_WIDTH
+    viewer.until(lambda: abs(centre(picture()[:, PANEL_WIDTH:])[0] + PANEL_WIDTH - free) < 5, "the picture moved")
+    moved, shift = picture(), round(free - SMALL[0] / 2)
+    columns = slice(PANEL_WIDTH + 10, SMALL[0])
+    expected = closed[:, PANEL_WIDTH + 10 - shift : SMALL[0] - shift]
+    assert np.abs(moved[:, columns].astype(float) - expected).mean() < 1
+    viewer.key("Escape")
+    viewer.until(lambda: not viewer.picture()[15, 30].any(), "no panel")
+    viewer.key("F1")
+    viewer.until(lambda: picture()[30, 330].any(), "the help")
+    viewer.key("Escape")
+    viewer.until(lambda: np.array_equal(picture(), closed), "no help")
+    viewer.key("ctrl+q")
+    assert viewer.process.wait(60) == 0, viewer.log
+    viewer.close()
+
+
+def test_the_time_bar_seeks(display: Screen, scene: Path, tmp_path: Path) -> None:
+    """Catches a track that does not follow the mouse, and one that ends before the last frame."""
+    viewer = Viewer(display, tmp_path, str(scene), "--size", str(SIZE[0]), str(SIZE[1]), *BLACK)
+    viewer.until(lambda: shows_scene(viewer), "the scene")
+    y = SIZE[1] - BAR_HEIGHT // 2
+    viewer.click(*(490, y))
+    viewer.until(lambda: current_frame(viewer) == 5 and "paused" in viewer.title, "the last frame")
+    viewer.drag((490, y), (330, y))
+    viewer.until(lambda: current_frame(viewer) == 3, "the frame in the middle")
+    viewer.click(*SCREENSHOT)
+    viewer.until(lambda: (tmp_path / "ball-001.png").exists(), "a screenshot")
+    viewer.click(*TRANSPARENT)
+    viewer.click(*SCREENSHOT)
+    viewer.until(lambda: (tmp_path / "ball-002.png").exists(), "a transparent screenshot")
+    assert viewer.close() == 0, viewer.log
+    plain = np.asarray(Image.open(tmp_path / "ball-001.png")).astype(float)
+    cut = np.asarray(Image.open(tmp_path / "ball-002.png")).astype(float)
+    assert cut.shape == (SIZE[1], SIZE[0], 4)
+    assert not cut[0, 0, 3]
+    assert np.abs(cut[..., :3] * cut[..., 3:] / 255 - plain).max() < 4
+
+
+def test_an_empty_window_opens_scenes(display: Screen, scene: Path, tmp_path: Path) -> None:
+    """Catches a window that draws nothing without a scene, a typed path that opens nothing, and a scene that could not
+    be opened and ends the window. The system has no dialog for files here, so the user types the path."""
+    no_dialogs = {"PATH": "/nonexistent"}
+    viewer = Viewer(display, tmp_path, "--size", str(SMALL[0]), str(SMALL[1]), variables=no_dialogs)
+    size = (SMALL[1], SMALL[0])
+    viewer.until(lambda: (viewer.picture()[: size[0], : size[1]].max(axis=2) > 100).any(), "the drop target")
+    time.sleep(1.0)
+    viewer.keep("empty")
+    for name in ("missing.4dv", scene.name):
+        field = (SMALL[0] // 2 - 100, SMALL[1] // 2 + 67)
+        viewer.click(*field)
+        viewer.screen.xdotool("key", "ctrl+a", "type", "--delay", "60", name)
+        viewer.keep("typed")
+        viewer.key("Return")
+        time.sleep(1.0)
+    viewer.until(lambda: scene.name in viewer.title, "the scene")
+    viewer.until(lambda: (window_image(viewer)[: size[0] - BAR_HEIGHT].max(axis=2) > 40).mean() > 0.005, "its picture")
+    assert viewer.close() == 0, viewer.log
+    assert str(scene) in (tmp_path / "state" / "fourd" / "window.json").read_text()
