@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -37,16 +37,30 @@ def display() -> Iterator[Screen]:
 
 
 @pytest.fixture
+def open_viewer(display: Screen, tmp_path: Path) -> Iterator[Callable[..., Viewer]]:
+    """A function that opens the viewer with words of the command line. Windows that a failed test leaves are closed."""
+    opened: list[Viewer] = []
+
+    def start(*words: str, variables: dict[str, str] | None = None) -> Viewer:
+        opened.append(Viewer(display, tmp_path, *words, variables=variables))
+        return opened[-1]
+
+    yield start
+    for viewer in opened:
+        viewer.process.kill()
+
+
+@pytest.fixture
 def scene(tmp_path: Path) -> Path:
     path = tmp_path / "ball.4dv"
     write_shells(path, frames=5)
     return path
 
 
-def test_a_small_window_shows_the_subject_in_its_middle(display: Screen, scene: Path, tmp_path: Path) -> None:
+def test_a_small_window_shows_the_subject_in_its_middle(open_viewer: Callable[..., Viewer], scene: Path) -> None:
     """Catches a panel that hides the subject, a picture that the time bar covers, and a picture that is stretched or
     stays behind the panel when the panel opens. Also catches keys that do not close the help or the window."""
-    viewer = Viewer(display, tmp_path, str(scene), "--size", str(SMALL[0]), str(SMALL[1]), *BLACK)
+    viewer = open_viewer(str(scene), "--size", str(SMALL[0]), str(SMALL[1]), *BLACK)
     height = SMALL[1] - BAR_HEIGHT
 
     def picture() -> np.ndarray:
@@ -75,9 +89,9 @@ def test_a_small_window_shows_the_subject_in_its_middle(display: Screen, scene: 
     viewer.close()
 
 
-def test_the_time_bar_seeks(display: Screen, scene: Path, tmp_path: Path) -> None:
+def test_the_time_bar_seeks(open_viewer: Callable[..., Viewer], scene: Path, tmp_path: Path) -> None:
     """Catches a track that does not follow the mouse, and one that ends before the last frame."""
-    viewer = Viewer(display, tmp_path, str(scene), "--size", str(SIZE[0]), str(SIZE[1]), *BLACK)
+    viewer = open_viewer(str(scene), "--size", str(SIZE[0]), str(SIZE[1]), *BLACK)
     viewer.until(lambda: shows_scene(viewer), "the scene")
     y = SIZE[1] - BAR_HEIGHT // 2
     viewer.click(*(490, y))
@@ -97,11 +111,11 @@ def test_the_time_bar_seeks(display: Screen, scene: Path, tmp_path: Path) -> Non
     assert np.abs(cut[..., :3] * cut[..., 3:] / 255 - plain).max() < 4
 
 
-def test_an_empty_window_opens_scenes(display: Screen, scene: Path, tmp_path: Path) -> None:
+def test_an_empty_window_opens_scenes(open_viewer: Callable[..., Viewer], scene: Path, tmp_path: Path) -> None:
     """Catches a window that draws nothing without a scene, a typed path that opens nothing, and a scene that could not
     be opened and ends the window. The system has no dialog for files here, so the user types the path."""
     no_dialogs = {"PATH": "/nonexistent"}
-    viewer = Viewer(display, tmp_path, "--size", str(SMALL[0]), str(SMALL[1]), variables=no_dialogs)
+    viewer = open_viewer("--size", str(SMALL[0]), str(SMALL[1]), variables=no_dialogs)
     size = (SMALL[1], SMALL[0])
     viewer.until(lambda: (viewer.picture()[: size[0], : size[1]].max(axis=2) > 100).any(), "the drop target")
     time.sleep(1.0)

@@ -119,6 +119,7 @@ def _draw_track(state: ViewerState, width: float, height: float) -> None:
         min(max((imgui.get_mouse_pos().x - left) / max(right - left, 1), 0), 1) * (playback.frame_count - 1)
     )
     if is_held:
+        playback.is_playing = False
         playback.seek(pointed)
     if is_held or is_hovered:
         imgui.set_tooltip(f"{pointed / playback.fps:.2f} s, frame {pointed + 1}")
