@@ -63,7 +63,7 @@ PALETTES: dict[ThemeName, Palette] = {
         text=(0.11, 0.12, 0.14),
         faint=(0.38, 0.4, 0.44),
         accent=(0.1, 0.4, 0.82),
-        start=(0.92, 0.925, 0.93),
+        start=(0.965, 0.967, 0.97),
     ),
 }
 
