@@ -123,7 +123,7 @@ def test_an_empty_window_opens_scenes(open_viewer: Callable[..., Viewer], scene:
     for name in ("missing.4dv", scene.name):
         field = (SMALL[0] // 2 - 100, SMALL[1] // 2 + 67)
         viewer.click(*field)
-        viewer.screen.xdotool("key", "ctrl+a", "type", "--delay", "60", name)
+        viewer.screen.xdotool("type", "--delay", "60", name)
         viewer.keep("typed")
         viewer.key("Return")
         time.sleep(1.0)

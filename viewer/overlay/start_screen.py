@@ -13,6 +13,7 @@ _WIDTH, _TARGET_HEIGHT = 460.0, 130.0
 """Largest width, and height of the drop target, at a text scale of 1, in window coordinates."""
 _DASH = 8.0
 _FLAGS = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_saved_settings
+_INPUT = imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all
 
 
 def draw_start_screen(state: ViewerState) -> None:
@@ -76,7 +77,7 @@ def _draw_buttons(state: ViewerState, width: float) -> None:
     button = imgui.calc_text_size("Open").x + 2 * imgui.get_style().frame_padding.x
     imgui.set_next_item_width(width - button - imgui.get_style().item_spacing.x)
     is_entered, state.typed_path = imgui.input_text_with_hint(
-        "##path", "path of a .4dv file or of a run", state.typed_path, imgui.InputTextFlags_.enter_returns_true
+        "##path", "path of a .4dv file or of a run", state.typed_path, _INPUT
     )
     imgui.same_line()
     if (imgui.button("Open") or is_entered) and state.typed_path.strip():
