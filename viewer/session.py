@@ -111,11 +111,11 @@ class Session:
         self.error, self.message = opened, str(opened)
         return None
 
-    def show(self, scene: LoadedScene, pose: Pose, *, is_free: bool = False) -> None:
-        """Close the current scene, and show ``scene`` from ``pose``. ``is_free`` says that no camera has this pose."""
+    def show(self, scene: LoadedScene, pose: Pose) -> None:
+        """Close the current scene, and show ``scene`` from ``pose``."""
         if self.scene is not None:
             self.scene.close()
-        self.scene, self.pose, self.is_free = scene, pose, is_free
+        self.scene, self.pose, self.is_free = scene, pose, False
         manifest = scene.manifest
         self.playback = Playback(manifest.frame_count, manifest.fps, is_playing=not scene.checkpoint)
         if not self._has_user_layers:

@@ -131,11 +131,11 @@ class ViewerState:
     def show_scene(self, scene: LoadedScene) -> None:
         """Show ``scene`` instead of the open scene, from its saved view or, if it has none, its initial view."""
         self.save_view()
-        saved = self._saved_views.load(scene.path)
-        self.session.show(scene, scene.initial_pose(self.window.framebuffer_size), is_free=False)
-        # The room for the picture depends on the panel and the bar, which are there from now on.
-        size, room = self.window.framebuffer_size, self._room
-        self.session.pose = scene.initial_pose(size, room) if saved is None else saved
+        saved, size = self._saved_views.load(scene.path), self.window.framebuffer_size
+        self.session.show(scene, saved or scene.initial_pose(size))
+        if saved is None:
+            # The room for the picture depends on the panel and the bar, which are there from now on.
+            self.session.pose = scene.initial_pose(size, self._room)
         self.session.is_free, self.camera_index = saved is not None, 0
         self.set_preferences(self.preferences.with_recent(scene.path))
         self.renderer.reset()

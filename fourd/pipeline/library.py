@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from fourd.base.progress import Terminal
@@ -13,7 +12,7 @@ from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.reconstruction.training.cameras.selection import with_test_split
 from fourd.reconstruction.training.config import TrainConfig
-from fourd.reconstruction.training.loop import TrainSummary
+from fourd.reconstruction.training.loop import OnStep
 from fourd.reconstruction.training.run import Run, open_run
 from fourd.recording.importing.importer import ImportOptions
 from fourd.recording.matting.sequence import MatteSettings
@@ -33,7 +32,7 @@ def make(
     workers: int = 1,
     device: DeviceName = "auto",
     quiet: bool = False,
-    on_step: Callable[[TrainSummary], object] | None = None,
+    on_step: OnStep | None = None,
 ) -> RunSummary:
     """Make a scene file from videos or a capture, as ``fourd make`` does. A repeated call resumes an interrupted one.
 
@@ -76,7 +75,7 @@ def train(
     workers: int = 1,
     device: DeviceName = "auto",
     quiet: bool = False,
-    on_step: Callable[[TrainSummary], object] | None = None,
+    on_step: OnStep | None = None,
 ) -> Run:
     """Train a run on a capture with masks or mattes, as ``fourd train`` does.
 

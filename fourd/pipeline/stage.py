@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
     from fourd.reconstruction.training.distributed.process_group import ProcessGroup
-    from fourd.reconstruction.training.loop import TrainSummary
+    from fourd.reconstruction.training.loop import OnStep
     from fourd.rendering.ops.device_name import DeviceName
 
 Files = TypeVar("Files", bound="DataclassInstance")
@@ -50,7 +50,7 @@ class Context:
     workers: int = 1
     group: ProcessGroup | None = None
     device: DeviceName = "cpu"
-    on_step: Callable[[TrainSummary], object] | None = None
+    on_step: OnStep | None = None
 
     @property
     def track(self) -> Track:

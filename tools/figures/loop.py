@@ -14,7 +14,7 @@ import av
 import tyro
 from PIL import Image
 
-from fourd.base.files import atomic_path
+from tools.figures.animation import write_animation
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,6 @@ class Arguments:
     """The .webp file to write."""
     frames: tuple[str, ...] = ("0:",)
     """Parts of the video to show one after the other, each as FIRST:END or FIRST:END:STEP. END is not included."""
-    columns: tuple[str, ...] = ()
-    """Columns of pixels to show side by side, each as FIRST:END. All columns by default."""
     width: int = 480
     """Width of the animation in pixels."""
     quality: int = 55
@@ -42,21 +40,8 @@ def main() -> None:
         rate = float(container.streams.video[0].average_rate or 25)
         images = [frame.to_image() for frame in container.decode(video=0)]
     parts = [_slice(text) for text in arguments.frames]
-    shown = [_columns(image, arguments.columns, arguments.width) for part in parts for image in images[part]]
-    seconds = (parts[0].step or 1) / rate
-    with atomic_path(arguments.out) as temporary:
-        shown[0].save(
-            temporary,
-            format="WEBP",
-            save_all=True,
-            append_images=shown[1:],
-            duration=round(1000 * seconds),
-            loop=0,
-            quality=arguments.quality,
-            method=6,
-            kmax=1,  # Only whole images. Changed parts would be rectangles that differ from the rest in tone.
-        )
-    print(f"{arguments.out}: {len(shown)} images, {arguments.out.stat().st_size / 1e6:.2f} MB")
+    shown = (_resized(image, arguments.width) for part in parts for image in images[part])
+    write_animation(arguments.out, shown, (parts[0].step or 1) / rate, arguments.quality)
 
 
 def _slice(text: str) -> slice:
@@ -64,15 +49,8 @@ def _slice(text: str) -> slice:
     return slice(*(int(part) if part else None for part in text.split(":")))
 
 
-def _columns(image: Image.Image, columns: tuple[str, ...], width: int) -> Image.Image:
-    """Cut columns out of an image, put them side by side and resize the result to ``width``."""
-    cuts = [range(image.width)[_slice(text)] for text in columns] or [range(image.width)]
-    joined = Image.new("RGB", (sum(len(cut) for cut in cuts), image.height))
-    left = 0
-    for cut in cuts:
-        joined.paste(image.crop((cut[0], 0, cut[-1] + 1, image.height)), (left, 0))
-        left += len(cut)
-    return joined.resize((width, round(width * joined.height / joined.width)), Image.Resampling.LANCZOS)
+def _resized(image: Image.Image, width: int) -> Image.Image:
+    return image.resize((width, round(width * image.height / image.width)), Image.Resampling.LANCZOS)
 
 
 if __name__ == "__main__":

@@ -23,10 +23,10 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from fourd.base.cameras import Camera, estimate_up
-from fourd.base.files import atomic_path
 from fourd.recording.capture import open_capture
 from fourd.scene import open_scene
 from fourd.scene.player import Player
+from tools.figures.animation import write_animation
 
 BACKGROUND = (0x14 / 255, 0x17 / 255, 0x1C / 255)
 MARGIN = 0.12
@@ -108,20 +108,7 @@ def side_by_side(parts: list[Image.Image], size: tuple[int, int]) -> Image.Image
 def main() -> None:
     """Draw and write the animation."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    first, *others = images(arguments)
-    with atomic_path(arguments.out) as temporary:
-        first.save(
-            temporary,
-            format="WEBP",
-            save_all=True,
-            append_images=others,
-            duration=round(1000 / arguments.fps),
-            loop=0,
-            quality=arguments.quality,
-            method=6,
-            kmax=1,  # Only whole images, as in loop.py.
-        )
-    print(f"{arguments.out}: {1 + len(others)} images, {arguments.out.stat().st_size / 1e6:.2f} MB")
+    write_animation(arguments.out, images(arguments), 1 / arguments.fps, arguments.quality)
 
 
 if __name__ == "__main__":

@@ -28,27 +28,11 @@ class Arena {
     std::size_t used_ = 0;
 };
 
-// The maps that each layer reads, and in the forward pass two more sums.
-struct Saved {
-    Maps input, full1, full, half1, half, quarter1, quarter, half_sum, reduced, merged;
-
-    explicit Saved(Arena& arena)
-        : input(arena.take(kColours, 1)),
-          full1(arena.take(kFull, 1)),
-          full(arena.take(kFull, 1)),
-          half1(arena.take(kHalf, 2)),
-          half(arena.take(kHalf, 2)),
-          quarter1(arena.take(kQuarter, 4)),
-          quarter(arena.take(kQuarter, 4)),
-          half_sum(arena.take(kQuarter, 2)),
-          reduced(arena.take(kMerged, 2)),
-          merged(arena.take(kMerged, 1)) {}
-};
-
-struct Gradients {
+// The results of the layers but the last, or their gradients.
+struct LayerMaps {
     Maps full1, full, half1, half, quarter1, quarter, half_sum, reduced, merged;
 
-    explicit Gradients(Arena& arena)
+    explicit LayerMaps(Arena& arena)
         : full1(arena.take(kFull, 1)),
           full(arena.take(kFull, 1)),
           half1(arena.take(kHalf, 2)),
@@ -59,6 +43,15 @@ struct Gradients {
           reduced(arena.take(kMerged, 2)),
           merged(arena.take(kMerged, 1)) {}
 };
+
+// The maps that the layers read.
+struct Saved : LayerMaps {
+    Maps input;
+
+    explicit Saved(Arena& arena) : LayerMaps(arena), input(arena.take(kColours, 1)) {}
+};
+
+using Gradients = LayerMaps;
 
 class Pass {
   public:

@@ -140,12 +140,9 @@ def run(arguments: Arguments) -> None:
 
 def _held_out(arguments: Arguments) -> tuple[str, ...]:
     """Return the held-out cameras: those of the option, or else those of the test split that are among the selected
-    cameras. Raises UserError if the option names an unknown camera, also where no mattes are needed."""
+    cameras."""
     if arguments.test_views is None:
         split = read_test_views(arguments.capture) or ()
         chosen = select_views(arguments.selection.names, camera_names(arguments.capture)) if split else ()
         return tuple(name for name in split if name in chosen)
-    if arguments.test_views.strip() == "none":
-        return ()
-    names = select_views(arguments.selection.names, camera_names(arguments.capture))
-    return tuple(select_views(split_names(arguments.test_views) or (), names, "--test-views"))
+    return () if arguments.test_views.strip() == "none" else split_names(arguments.test_views) or ()

@@ -104,10 +104,11 @@ def stages_to_mattes(
         from_hull: whether masks of at least three cameras take the place of the method of ``settings``.
     """
     stages: list[AnyStage] = []
+    held_out = _held_out(masks.cameras, settings.views, test_views)
     if masks.lacks_masks(settings.views):
         hull = stages_to_hull_mattes(capture, masks, settings.views, settings.frames, test_views) if from_hull else ()
         if not hull:
-            settings = replace(settings, held_out=_held_out(masks.cameras, settings.views, test_views))
+            settings = replace(settings, held_out=held_out)
         stages += hull or (mattes_stage(capture, settings),)
     if plates:
         stages.append(capture_plates_stage(capture, settings))

@@ -67,6 +67,10 @@ class TrainSummary:
     psnr: float
 
 
+OnStep = Callable[[TrainSummary], object]
+"""A function that is called after each training step."""
+
+
 class Trainer:
     """Trains a run until its budget is spent, starting from its newest checkpoint if there is one."""
 
@@ -120,7 +124,7 @@ class Trainer:
         self.renderer = ModelRenderer(self.scene, self.held_out.training, run.focus, run.config.train.pixel_filter)
         self._saved_step = self.done if saved is not None else -1
 
-    def train(self, on_step: Callable[[TrainSummary], object] | None = None) -> TrainSummary:
+    def train(self, on_step: OnStep | None = None) -> TrainSummary:
         """Train until the budget is spent. ``on_step`` is called after each training step, outside the time budget.
 
         Ctrl-C is handled after the current training step, so that the checkpoint never contains a half-finished step. A
@@ -151,7 +155,7 @@ class Trainer:
         show: Callable[[str], None],
         interrupt: DeferredInterrupt,
         session: LiveSession | NoSession,
-        on_step: Callable[[TrainSummary], object] | None,
+        on_step: OnStep | None,
     ) -> None:
         trimmer = HeapTrimmer(self.scene.resident_bytes)
         last_save, last_validation = self.seconds, self.seconds
