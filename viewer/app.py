@@ -31,6 +31,8 @@ _IDLE_SECONDS = 0.25
 """Seconds between checks for new frames and checkpoints while the image does not change."""
 _LOADING_SECONDS = 0.1
 """Seconds between two images of the loading bar. The interval is long, because loading a scene also needs the CPU."""
+_READING_SECONDS = 0.01
+"""Seconds between two looks at whether the captured picture has been read."""
 _PATIENCE_SECONDS = 0.3
 """The window appears after this time, even if the scene has not been opened yet."""
 _FADE_SECONDS = 0.03
@@ -49,11 +51,12 @@ def run_viewer(
     settings: DisplaySettings,
     console: Console,
     style_name: str | None = None,
+    capture: Path | None = None,
 ) -> None:
     """Open a window that shows ``source``, and run the viewer until the user closes the window.
 
     ``style_name`` is the name of the preset, or the path of the style file, from which the style in ``settings`` was
-    loaded.
+    loaded. ``capture`` is the folder with the captured pictures, or None to look for it.
 
     Raises UserError when the source cannot be opened, when there is no display, or when OpenGL is not available.
     """
@@ -63,7 +66,7 @@ def run_viewer(
             session.open(source)
             session.wait_opened(_PATIENCE_SECONDS)
         with Window(size, "fourd") as window:
-            state = ViewerState(window, session, WindowRenderer(window, requested))
+            state = ViewerState(window, session, WindowRenderer(window, requested), capture)
             choice = state.renderer.choice
             console.print(f"renderer: {choice.name} ({choice.reason})", soft_wrap=True)
             try:
@@ -82,6 +85,7 @@ class App:
         self._state = state
         self._needs_scene = needs_scene
         self._images_left = _IMAGES_AFTER_INPUT
+        self._was_active = True  # whether the image could change after the last step
 
     def run(self) -> None:
         """Run the event loop until the user closes the window. Raises UserError if the scene that the user has named
@@ -109,7 +113,10 @@ class App:
         scene = session.take_opened()
         if scene is not None:
             state.show_scene(scene)
-        if not session.advance(elapsed) and self._is_idle():
+        has_news = session.advance(elapsed, is_held=state.comparison.is_reading)
+        was_active, self._was_active = self._was_active, not self._is_idle()
+        # The image after the last change shows the end of a transition, or what a thread has just read.
+        if not (has_news or was_active or self._was_active):
             return
         self._images_left = max(0, self._images_left - 1)
         if state.recorder is not None and session.pose is not None:
@@ -123,7 +130,8 @@ class App:
             window.begin_ui()
             handle_keys(state)
             draw_overlay(state)
-            if handle_navigation(session, window.size[1], elapsed):
+            centre = state.rendered_area.centre if state.compared_camera is not None else None
+            if handle_navigation(session, window.size, elapsed, centre):
                 self._images_left = _IMAGES_AFTER_INPUT
             window.end_ui()
         with state.timings.measure("present"):
@@ -160,10 +168,14 @@ class App:
     def _seconds_to_wait(self) -> float:
         """Return the maximum time in seconds to wait for window events before the next image is drawn."""
         state, session = self._state, self._state.session
-        if state.window.is_hidden or self._is_idle():
+        if state.window.is_hidden:
             return _IDLE_SECONDS
+        if self._is_idle():
+            return 0.0 if self._was_active else _IDLE_SECONDS
         if session.opening is not None or session.is_waiting:
             return _LOADING_SECONDS
+        if state.comparison.is_reading:
+            return _READING_SECONDS
         is_moving = session.is_moving or state.recorder is not None
         if is_moving or state.renderer.is_stale or self._is_settling or self._images_left > 0:
             return 0.0
@@ -177,6 +189,7 @@ class App:
         is_active = (
             session.opening is not None or session.is_waiting or session.is_moving or session.playback.is_playing
         )
+        is_active |= state.comparison.is_reading
         is_changing = state.recorder is not None or state.renderer.is_stale or self._is_settling or self._is_fading
         is_changing |= state.is_panel_open and state.timings.images_per_second(time.monotonic()) > 0
         return not (is_active or is_changing or self._images_left > 0)

@@ -17,8 +17,14 @@ _SECONDS_TO_PIVOT = 2.0
 _SHIFT_FACTOR = 4.0
 
 
-def handle_navigation(session: Session, window_height: float, seconds: float) -> bool:
-    """Move the pose by mouse and keys, unless the panel uses the input. ``window_height`` is in window coordinates.
+def handle_navigation(
+    session: Session, window: tuple[float, float], seconds: float, centre: tuple[float, float] | None = None
+) -> bool:
+    """Move the pose by mouse and keys, unless the panel uses the input. ``window`` is the (width, height) in window
+    coordinates.
+
+    While the view is that of a camera whose picture is compared, ``centre`` is where the middle of the image is, in
+    window coordinates. The wheel and the right button then enlarge and move the image, and the eye stays at its place.
 
     Returns True if the pose has changed. Window events do not report every change: a key that is held down moves the
     pose but produces no event.
@@ -26,7 +32,9 @@ def handle_navigation(session: Session, window_height: float, seconds: float) ->
     io = imgui.get_io()
     if session.pose is None:
         return False
-    pose = session.pose
+    if centre is not None and not io.want_capture_mouse and _zoom(session, io, window[1], centre):
+        return True
+    pose, window_height = session.pose, window[1]
     if not io.want_capture_mouse:
         pose = _drag(pose, io, window_height)
         if io.mouse_wheel:
@@ -36,6 +44,21 @@ def handle_navigation(session: Session, window_height: float, seconds: float) ->
     if pose is session.pose:
         return False
     session.set_pose(pose)
+    return True
+
+
+def _zoom(session: Session, io: imgui.IO, height: float, centre: tuple[float, float]) -> bool:
+    """Enlarge the image around the mouse, or move it, without moving the eye. Returns True if there was such input."""
+    pose = session.pose
+    is_dragged = imgui.is_mouse_down(_RIGHT) and (io.mouse_delta.x or io.mouse_delta.y)
+    if pose is None or not (io.mouse_wheel or is_dragged):
+        return False
+    if io.mouse_wheel:
+        x, y = (io.mouse_pos.x - centre[0]) / height, (io.mouse_pos.y - centre[1]) / height
+        pose = pose.zoom(_WHEEL_FACTOR**-io.mouse_wheel, x, y)
+    if is_dragged:
+        pose = pose.slide(io.mouse_delta.x / height, io.mouse_delta.y / height)
+    session.zoom(pose)
     return True
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from imgui_bundle import imgui
 
+from fourd.viewer.comparison.comparison import MODES
 from fourd.viewer.playback.clock import SPEEDS
 from fourd.viewer.rendering.renderers import RENDERERS
 from fourd.viewer.state import ViewerState
@@ -111,6 +112,10 @@ def _next_renderer(state: ViewerState) -> None:
     state.defer(lambda: state.switch_renderer(name))
 
 
+def _next_comparison(state: ViewerState) -> None:
+    state.compare(MODES[(MODES.index(state.comparison.mode) + 1) % len(MODES)])
+
+
 def _next_style(state: ViewerState) -> None:
     names = state.session.style_names
     state.session.choose_style(names[(names.index(state.session.style_name) + 1) % len(names)])
@@ -154,6 +159,7 @@ SHORTCUTS = (
     Shortcut("N, P", "next camera, previous camera", ((_Key.n, _change_camera(1)), (_Key.p, _change_camera(-1)))),
     Shortcut("0", "initial view", ((_Key._0, lambda state: state.move_to_initial_view()),)),
     Shortcut("T", "next style", ((_Key.t, _next_style),)),
+    Shortcut("V", "compare with the captured picture", ((_Key.v, _next_comparison),)),
     Shortcut("R", "next renderer", ((_Key.r, _next_renderer),)),
     Shortcut(
         "I, F12",

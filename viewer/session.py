@@ -187,13 +187,18 @@ class Session:
         """Set the pose that the user has chosen, and end any transition."""
         self.pose, self._transition, self.is_free = pose, None, True
 
-    def advance(self, seconds: float) -> bool:
-        """Advance playback and the transition by ``seconds``. Playback waits while the current frame is being read.
+    def zoom(self, pose: Pose) -> None:
+        """Set a pose at the same place that shows another part of the same view."""
+        self.pose, self._transition = pose, None
+
+    def advance(self, seconds: float, *, is_held: bool = False) -> bool:
+        """Advance playback and the transition by ``seconds``. Playback waits while the current frame is being read, and
+        if ``is_held`` is True.
 
         Returns True if the run has a new checkpoint, whose frames then replace the current frames.
         """
         has_new_checkpoint = self.scene is not None and self.scene.poll_checkpoint()
-        if not self.is_waiting:
+        if not (self.is_waiting or is_held):
             self.playback.advance(seconds)
         if self._transition is not None:
             start, end, fraction = self._transition

@@ -9,13 +9,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.base.cameras import nearest_views
 from fourd.base.configs import save_config
 from fourd.base.errors import UserError
 from fourd.scene.styles.presets import STYLE_SUFFIXES
+from fourd.viewer.comparison.captured import is_capture
+from fourd.viewer.comparison.comparison import MODES, Comparison, Mode
+from fourd.viewer.comparison.placement import find_view
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.interface.file_dialog import FileDialog, has_file_dialogs
-from fourd.viewer.interface.layout import Layout, has_room_for_panel
+from fourd.viewer.interface.layout import Area, Layout, has_room_for_panel
 from fourd.viewer.interface.notice_clock import NoticeClock
 from fourd.viewer.loaded_scene import LoadedScene
 from fourd.viewer.navigation.preferences import Preferences, PreferencesFile
@@ -42,6 +46,7 @@ class ViewerState:
         session: the scene, the playback and the pose.
         renderer: draws the session into the window.
         timings: times of the last images.
+        comparison: the comparison with the captured pictures.
         recorder: recorder of the camera path, or None while no path is being recorded.
         recorded_path: the last recording of this scene.
         notice: tells how strongly the session's message is visible.
@@ -52,11 +57,13 @@ class ViewerState:
         typed_path: what the user has typed as the path of a scene to open.
     """
 
-    def __init__(self, window: Window, session: Session, renderer: WindowRenderer) -> None:
+    def __init__(self, window: Window, session: Session, renderer: WindowRenderer, capture: Path | None = None) -> None:
+        """``capture`` is the folder with the captured pictures of the first scene, or None to look for it."""
         self.window = window
         self.session = session
         self.renderer = renderer
         self.timings = Timings()
+        self.comparison = Comparison(renderer.context, capture)
         self.recorder: PathRecorder | None = None
         self.recorded_path: RecordedPath | None = None
         self.notice = NoticeClock()
@@ -70,6 +77,7 @@ class ViewerState:
         self._wants_panel = has_room_for_panel(window.size[0], self.text_scale)
         self._dialog: FileDialog | None = None
         self._deferred: list[Callable[[], None]] = []
+        self._has_opened = False
 
     @property
     def text_scale(self) -> float:
@@ -99,18 +107,25 @@ class ViewerState:
     @property
     def picture_shift(self) -> tuple[float, float]:
         """Distance (right, down) in whole pixels from the middle of the window to the middle of the free area."""
-        free, (width, height) = self.layout.free.scaled(self._pixels_per_unit), self.window.framebuffer_size
+        free, (width, height) = self.rendered_area.scaled(self.pixels_per_unit), self.window.framebuffer_size
         x, y = free.centre
         return float(round(x - width / 2)), float(round(y - height / 2))
 
     @property
     def _room(self) -> tuple[float, float]:
-        """(width, height) of the free area in pixels."""
-        free = self.layout.free.scaled(self._pixels_per_unit)
+        """(width, height) in pixels of the area in whose middle the picture is."""
+        free = self.rendered_area.scaled(self.pixels_per_unit)
         return free.width, free.height
 
     @property
-    def _pixels_per_unit(self) -> float:
+    def rendered_area(self) -> Area:
+        """The area in whose middle the picture is: the free area, or its right half beside a captured picture."""
+        free = self.layout.free
+        return free.split(0.5)[1] if self.comparison.mode == "side by side" else free
+
+    @property
+    def pixels_per_unit(self) -> float:
+        """Pixels of the framebuffer per window coordinate."""
         return self.window.framebuffer_size[0] / max(self.window.size[0], 1)
 
     def defer(self, action: Callable[[], None]) -> None:
@@ -132,6 +147,8 @@ class ViewerState:
         """Show ``scene`` instead of the open scene, from its saved view or, if it has none, its initial view."""
         self.save_view()
         saved, size = self._saved_views.load(scene.path), self.window.framebuffer_size
+        # The folder that was given at the start belongs to the first scene.
+        self.comparison.set_folder(None if self._has_opened else self.comparison.folder)
         self.session.show(scene, saved or scene.initial_pose(size))
         if saved is None:
             # The room for the picture depends on the panel and the bar, which are there from now on.
@@ -140,13 +157,18 @@ class ViewerState:
         self.set_preferences(self.preferences.with_recent(scene.path))
         self.renderer.reset()
         self.recorded_path = self.recorder = None
+        self._has_opened = True
 
     def open(self, path: Path) -> None:
-        """Open a file that the user has dropped on the window: a style file, a shade map, a scene or a run."""
+        """Open what the user has dropped on the window: a style file, a shade map, a scene, a run, or the capture of
+        the open scene."""
         if path.suffix in STYLE_SUFFIXES:
             self.session.choose_style(str(path))
         elif path.suffix.lower() == ".png":
             self.session.choose_shade_map(path)
+        elif self.session.scene is not None and is_capture(path):
+            self.comparison.set_folder(path)
+            self.compare(MODES[1])
         else:
             self.session.open(path)
 
@@ -210,6 +232,28 @@ class ViewerState:
             self.camera_index = 0
             self.session.move_to(self.session.scene.initial_pose(self.window.framebuffer_size, self._room))
 
+    def compare(self, mode: Mode) -> None:
+        """Compare the scene with the captured picture of the camera that is shown, or to which the view is nearest."""
+        scene, pose = self.session.scene, self.session.pose
+        if scene is None or pose is None:
+            return
+        self.session.message = self.comparison.choose(mode, scene)
+        if self.session.message or (self.session.is_free and mode == "off"):
+            return
+        if self.session.is_free:
+            camera, cameras = pose.camera(*self.window.framebuffer_size), scene.manifest.cameras
+            (self.camera_index,) = nearest_views(camera, cameras, 1, np.asarray(scene.manifest.focus))
+        self.move_to_camera(self.camera_index)
+
+    @property
+    def compared_camera(self) -> int | None:
+        """Index of the camera whose view is shown and compared with its captured picture, or None."""
+        scene, pose = self.session.scene, self.session.pose
+        if not self.comparison.is_on or scene is None or pose is None:
+            return None
+        shown = pose.camera(*self.window.framebuffer_size)
+        return find_view(scene.manifest.cameras, shown, pose.distance, self.camera_index)
+
     def take_screenshot(self) -> None:
         """Write the image to a PNG in the working directory, without the panel and with the picture in its middle."""
         if self.session.scene is None:
@@ -267,6 +311,7 @@ class ViewerState:
     def release(self) -> None:
         """Save the view, close the scene and free all GL objects."""
         self.save_view()
+        self.comparison.release()
         self.session.close()
         self.renderer.release()
 

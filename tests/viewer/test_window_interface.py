@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.baking.scenes import manifest
+from tests.viewer.comparison.captures import RED, write_flat_capture
 from tests.viewer.scenes import write_shells
 from tests.viewer.screen import Screen, Viewer, screen
 from tests.viewer.test_window import (
@@ -131,3 +133,44 @@ def test_an_empty_window_opens_scenes(open_viewer: Callable[..., Viewer], scene:
     viewer.until(lambda: (window_image(viewer)[: size[0] - BAR_HEIGHT].max(axis=2) > 40).mean() > 0.005, "its picture")
     assert viewer.close() == 0, viewer.log
     assert str(scene) in (tmp_path / "state" / "fourd" / "window.json").read_text()
+
+
+def test_the_key_v_compares_with_the_captured_picture(
+    open_viewer: Callable[..., Viewer], scene: Path, tmp_path: Path
+) -> None:
+    """Catches a picture on the wrong side of the line or beside its place, a line that does not follow the mouse, and a
+    picture that stays after the user has left the view of its camera. Also catches a dropped capture that is not used,
+    and a scene without a capture for which nothing happens."""
+    capture = write_flat_capture(tmp_path / "recording", manifest(6, 5))
+    viewer = open_viewer(str(scene), "--size", str(SMALL[0]), str(SMALL[1]), *BLACK)
+    height = SMALL[1] - BAR_HEIGHT
+
+    def picture() -> np.ndarray:
+        return viewer.picture()[:height, : SMALL[0]].astype(int)
+
+    def columns(row: int) -> tuple[int, int]:
+        """The first and the last column of a row that show the captured picture, or (-1, -1)."""
+        found = np.flatnonzero(np.abs(picture()[row] - [*RED[:2], 10]).max(axis=1) < 3)
+        return (int(found[0]), int(found[-1])) if len(found) else (-1, -1)
+
+    viewer.until(lambda: (picture().max(axis=2) > 40).mean() > 0.01, "the scene")
+    pause_at(viewer, "Home", 1)
+    viewer.key("v")
+    viewer.until(lambda: picture()[-45:-15].max() > 150, "a notice that there is no capture")
+    viewer.drop(capture)
+    quarter, half = SMALL[0] // 4, SMALL[0] // 2
+    viewer.until(lambda: np.abs(np.array(columns(320)) - (quarter - 160, quarter + 159)).max() < 4, "side by side")
+    viewer.key("v")
+    edge = (SMALL[0] - height) // 2  # the picture is square, and as high as the free area
+    viewer.until(lambda: np.abs(np.array(columns(320)) - (edge, half - 2)).max() < 5, "the picture left of the line")
+    assert (picture()[height // 2, half + 20 : half + 60].max(axis=1) > 40).all(), "the scene right of the line"
+    viewer.drag((half, height // 2), (half + 100, height // 2))
+    viewer.until(lambda: abs(columns(320)[1] - (half + 98)) < 5, "the line under the mouse")
+    viewer.drag((half, 300), (half + 60, 300))
+    viewer.until(lambda: columns(320) == (-1, -1), "no picture of another view")
+    viewer.key("n")
+    viewer.key("p")
+    viewer.until(lambda: abs(columns(320)[1] - (half + 98)) < 5, "the picture again")
+    viewer.key("v")
+    viewer.until(lambda: columns(320) == (-1, -1), "no comparison")
+    assert viewer.close() == 0, viewer.log

@@ -30,6 +30,16 @@ class Area:
         """Return the area in units that are smaller by ``factor``, such as pixels."""
         return Area(factor * self.left, factor * self.top, factor * self.width, factor * self.height)
 
+    def split(self, share: float) -> tuple[Area, Area]:
+        """Return the parts on the left and on the right of a line at ``share`` of the width."""
+        width = share * self.width
+        left = Area(self.left, self.top, width, self.height)
+        return left, Area(self.left + width, self.top, self.width - width, self.height)
+
+    def moved(self, right: float) -> Area:
+        """Return the area, moved to the right."""
+        return Area(self.left + right, self.top, self.width, self.height)
+
 
 @dataclass(frozen=True)
 class Layout:

@@ -100,6 +100,20 @@ class Pose:
         step = right * self.rotation[0] - up * self.rotation[1] + forward * self.rotation[2]
         return replace(self, pivot=self.pivot + step)
 
+    def zoom(self, factor: float, x: float, y: float) -> Pose:
+        """Enlarge the image by ``factor`` around a position, without moving the eye.
+
+        ``x`` and ``y`` are the distances of the position from the image centre, in units of the image height. At the
+        limits of the field of view, the image is not enlarged further.
+        """
+        nearer = self.with_field_of_view(2 * np.arctan(np.tan(self.field_of_view / 2) / factor))
+        reached = np.tan(self.field_of_view / 2) / np.tan(nearer.field_of_view / 2)
+        return replace(nearer, offset=(x + reached * (self.offset[0] - x), y + reached * (self.offset[1] - y)))
+
+    def slide(self, right: float, down: float) -> Pose:
+        """Move the image without moving the eye, by lengths in units of the image height."""
+        return replace(self, offset=(self.offset[0] + right, self.offset[1] + down))
+
     def with_field_of_view(self, radians: float) -> Pose:
         """Return the pose with a vertical field of view of ``radians``, clamped to the allowed range."""
         return replace(self, field_of_view=float(np.clip(radians, MIN_FIELD_OF_VIEW, MAX_FIELD_OF_VIEW)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from fourd.viewer.interface.theme import apply_theme
+from fourd.viewer.overlay.comparison import draw_comparison
 from fourd.viewer.overlay.help import draw_help
 from fourd.viewer.overlay.notices import draw_notices
 from fourd.viewer.overlay.start_screen import draw_start_screen
@@ -14,9 +15,10 @@ from fourd.viewer.state import ViewerState
 
 
 def draw_overlay(state: ViewerState) -> None:
-    """Draw the panel, the time bar or the start screen, the help and the notices."""
+    """Draw the captured picture, the panel, the time bar or the start screen, the help and the notices."""
     apply_theme(state.preferences.theme, state.text_scale)
     if state.session.scene is not None:
+        draw_comparison(state)
         draw_time_bar(state)
     elif state.session.opening is None:
         draw_start_screen(state)

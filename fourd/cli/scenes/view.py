@@ -50,6 +50,10 @@ class Arguments:
     transparent: bool = False
     """Write the --screenshot with an alpha channel instead of a background."""
     style: StyleName = None
+    capture: Annotated[
+        Path | None, READS, option("FOLDER", "the run's, or that of the work folder beside the scene")
+    ] = None
+    """Capture whose pictures the window compares with the scene (key V)."""
     headless: Annotated[Path | None, WRITES, option("FILE.{mp4,webm,gif}", "none")] = None
     """Render a video to this .mp4 (H.264), .webm (VP9) or .gif file, without opening a window."""
     path: Annotated[str, tyro.conf.arg(metavar="{orbit,spiral,cameras,FILE.json}")] = "orbit"
@@ -77,6 +81,10 @@ def run(arguments: Arguments) -> None:
     check_rendering(arguments.layers, background, size=arguments.size, steps=arguments.steps, fps=arguments.fps)
     if arguments.transparent and (arguments.screenshot is None or arguments.headless is not None):
         raise UserError("--transparent: expected --screenshot FILE.png alone, got another output; videos have no alpha")
+    if arguments.capture is not None:
+        from fourd.viewer.comparison.captured import require_capture
+
+        require_capture(arguments.capture)
     style = None if arguments.style is None else load_style(arguments.style)
     settings = DisplaySettings(layers=arguments.layers or 0, background=background, style=style)
     with nullcontext() if arguments.source is None else local_copy(arguments.source, transfer_progress()) as source:
@@ -88,7 +96,7 @@ def _view(arguments: Arguments, source: Path | None, settings: DisplaySettings, 
         from fourd.viewer.app import run_viewer
 
         size = arguments.size or (1280, 720)
-        run_viewer(source, arguments.renderer, size, settings, console, arguments.style)
+        run_viewer(source, arguments.renderer, size, settings, console, arguments.style, arguments.capture)
         return
     from fourd.viewer.headless import Headless
     from fourd.viewer.output.video import require_video

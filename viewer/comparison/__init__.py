@@ -1,0 +1,1 @@
+"""Compares a scene with the captured pictures from which it was made."""
