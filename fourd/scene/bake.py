@@ -13,10 +13,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import track
 from torch import Tensor
 
 from fourd.base.errors import UserError
+from fourd.base.progress import Track, Tracker
 from fourd.base.version import __version__
 from fourd.reconstruction.model import PointModel
 from fourd.reconstruction.model.appearance import mix_own_colours, zero_low_visibility
@@ -55,6 +55,7 @@ def bake_run(
     console: Console,
     layers: int = BAKED_LAYERS,
     fps: float | None = None,
+    track: Track | None = None,
 ) -> None:
     """Write the run's newest checkpoint as the scene file ``out``, one frame at a time (4K4D, sec. 3.4).
 
@@ -65,6 +66,7 @@ def bake_run(
         layers: maximum number of points that are composited per pixel. The number is stored in the scene.
         fps: playback rate, frames per second. If None, the rate at which the run's frames were recorded is used, or 30
             if this rate is not known.
+        track: reports the progress of the frames. If None, the console shows it.
 
     Raises:
         UserError: if the model's blend weights depend on the viewing camera, or if the file cannot be written.
@@ -78,7 +80,8 @@ def bake_run(
         background = bake_background(first, sources)
         if background is not None:
             writer.add_background(add_normals(background, manifest, is_background=True))
-        for frame in track(range(run.capture.frame_count), description="export", console=console):
+        count = run.capture.frame_count
+        for frame in (track or Tracker(console).track)(range(count), count, "export"):
             if isinstance(trained, SegmentedRun):
                 writer.add_frame(frame, add_normals(_bake_segments(trained.at(frame), sources), manifest))
             else:

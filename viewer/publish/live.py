@@ -5,20 +5,40 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from rich.console import Console
 
 from fourd.base.errors import UserError
-from fourd.base.progress import Tracker
+from fourd.base.progress import Track, Tracker
 from fourd.reconstruction.training.run_layout import newest_checkpoint, segment_folders
 from fourd.scene.files.encoding import Tier
 from fourd.scene.styles import Style
 from fourd.viewer.publish.site import POSTER_NAME, SCENE_NAME, copy_player, write_poster, write_scene
 
 _POLL_SECONDS = 2.0
+
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class WritingProgress:
+    """How far the writing of a scene is.
+
+    Attributes:
+        work: what is being done, such as "export" or "pack".
+        done: number of finished frames.
+        count: number of all frames.
+    """
+
+    work: str
+    done: int
+    count: int
 
 
 class LiveScene:
@@ -33,11 +53,13 @@ class LiveScene:
     Attributes:
         version: identifies the version of the source that was written last, or an empty string.
         error: the reason why the newest version could not be written, or an empty string.
+        progress: how far the writing is, or None while nothing is written.
     """
 
     def __init__(self, source: Path, folder: Path, tier: Tier, console: Console) -> None:
         self.version = ""
         self.error = ""
+        self.progress: WritingProgress | None = None
         self._source = source
         self._folder = folder
         self._tier = tier
@@ -52,7 +74,10 @@ class LiveScene:
     def write(self) -> None:
         """Write the current version of the source. Raises UserError or OSError."""
         self._tried = self._read_version()
-        self._write()
+        try:
+            self._write()
+        finally:
+            self.progress = None
         self.version, self.error = self._tried, ""
 
     def update(self) -> bool:
@@ -86,17 +111,22 @@ class LiveScene:
         return ""
 
     def _write(self) -> None:
-        track = Tracker(self._console).track
         with tempfile.TemporaryDirectory(dir=self._folder.parent) as temporary:
             scene = self._source
             if scene.is_dir():
                 scene = Path(temporary) / "baked.4dv"
-                _bake(self._source, scene, self._console)
+                _bake(self._source, scene, self._console, self._track)
             written = Path(temporary) / SCENE_NAME
-            write_scene(scene, written, self._tier, track)
+            write_scene(scene, written, self._tier, self._track)
             write_poster(written, Path(temporary) / POSTER_NAME)
             for name in (POSTER_NAME, SCENE_NAME):
                 (Path(temporary) / name).replace(self._folder / name)
+
+    def _track(self, items: Iterable[Item], count: int, what: str) -> Iterator[Item]:
+        """Yield the items, print the progress and keep it for :attr:`progress`."""
+        for done, item in enumerate(Tracker(self._console).track(items, count, what)):
+            self.progress = WritingProgress(what, done, count)
+            yield item
 
 
 class LiveSite:
@@ -140,9 +170,9 @@ class LiveSite:
         self._stopped.set()
 
 
-def _bake(run: Path, scene: Path, console: Console) -> None:
+def _bake(run: Path, scene: Path, console: Console, track: Track) -> None:
     """Bake the newest checkpoint of a run. The imports are local, because only runs need torch."""
     from fourd.reconstruction.training.segments.segmented_run import open_trained
     from fourd.scene.bake import bake_run
 
-    bake_run(open_trained(run), scene, console)
+    bake_run(open_trained(run), scene, console, track=track)

@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from cachetools import LRUCache
@@ -121,9 +121,11 @@ class RunSite:
         self._asked = time.monotonic()
         version, error = self._scene.version, self._scene.error
         steps = [int(name.partition(".")[0]) for name in version.split()]
-        is_due = self._is_baking or (self._scene.has_news() and time.monotonic() >= self._next_bake)
+        is_due = self._is_baking or self._may_bake()
         state = "baking" if is_due else "failed" if error else "ready" if version else "none"
-        return _to_json({"state": state, "step": max(steps, default=-1), "message": error})
+        progress = self._scene.progress
+        shown = None if progress is None else asdict(progress)
+        return _to_json({"state": state, "step": max(steps, default=-1), "message": error, "progress": shown})
 
     def control(self, session: str, action: str) -> None:
         """Request an action, such as "pause" or "stop", from the training process.
@@ -152,12 +154,21 @@ class RunSite:
                 os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
         while not self._stopped.wait(_POLL_SECONDS):
             now = time.monotonic()
-            if now - self._asked < ASKED_SECONDS and now >= self._next_bake and self._scene.has_news():
+            if now - self._asked < ASKED_SECONDS and self._may_bake():
                 self._bake()
 
     def stop(self) -> None:
         """Make :meth:`watch` return."""
         self._stopped.set()
+
+    def _may_bake(self) -> bool:
+        """Return whether there is a new checkpoint, and the share of the CPU that baking may use is not yet spent.
+
+        After the end of training there is no such limit, also if it applied when the last scene was baked.
+        """
+        if not self._scene.has_news():
+            return False
+        return time.monotonic() >= self._next_bake or find_active(self.run).phase != "training"
 
     def _bake(self) -> None:
         self._is_baking = True

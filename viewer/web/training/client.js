@@ -19,7 +19,14 @@
  * @property {number} broken_lines Number of lines in the log that are not valid records.
  */
 /** The values of a measurement. @typedef {{step: number[], value: number[]}} Series */
-/** State of the scene. @typedef {{state: "none" | "baking" | "ready" | "failed", step: number, message: string}} SceneState */
+/**
+ * State of the scene. `progress` is null while no scene is being baked.
+ * @typedef {object} SceneState
+ * @property {"none" | "baking" | "ready" | "failed"} state
+ * @property {number} step
+ * @property {string} message
+ * @property {{work: string, done: number, count: number} | null} progress
+ */
 
 /** Thrown if the server refuses a request or does not answer. The page shows the message to the user. */
 export class Refusal extends Error {}

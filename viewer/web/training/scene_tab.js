@@ -2,6 +2,10 @@ import { Refusal, fetchScene } from "./client.js";
 import { buttonById, byId, setText } from "./elements.js";
 
 const POLL_MS = 2000;
+/** Times between requests in milliseconds while a scene is being baked. */
+const BAKING_POLL_MS = 500;
+/** Shares of the time at which the kinds of work begin and end. @type {Record<string, [number, number]>} */
+const SHARES = { export: [0, 0.6], sample: [0.6, 0.7], pack: [0.7, 1] };
 
 /** The tab with the player. The scene is baked and loaded only while the tab is shown. */
 export class SceneTab {
@@ -9,6 +13,7 @@ export class SceneTab {
     this.buttons = { training: buttonById("show-training"), scene: buttonById("show-scene") };
     this.panes = { training: byId("training"), scene: byId("scene") };
     this.note = byId("scene-note");
+    this.bar = /** @type {HTMLProgressElement} */ (byId("scene-progress"));
     this.isShown = false;
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.timer = undefined;
@@ -36,17 +41,28 @@ export class SceneTab {
   async #follow() {
     clearTimeout(this.timer);
     if (!this.isShown || document.hidden) return;
+    let delay = POLL_MS;
     try {
       const scene = await fetchScene();
       setText(this.note, describe(scene));
+      this.#showProgress(scene);
+      if (scene.state === "baking") delay = BAKING_POLL_MS;
       if (scene.step >= 0 && this.isShown) await this.#showPlayer();
     } catch (error) {
       if (!(error instanceof Refusal)) throw error;
       setText(this.note, error.message);
     } finally {
       clearTimeout(this.timer);
-      this.timer = setTimeout(() => this.#follow(), POLL_MS);
+      this.timer = setTimeout(() => this.#follow(), delay);
     }
+  }
+
+  /** @param {import("./client.js").SceneState} scene */
+  #showProgress({ state, step, progress }) {
+    // The player has room for a line of text only. The bar is for the minutes before the first scene.
+    this.bar.hidden = state !== "baking" || step >= 0;
+    if (progress) this.bar.value = shareOf(progress);
+    else this.bar.removeAttribute("value");
   }
 
   async #showPlayer() {
@@ -59,10 +75,22 @@ export class SceneTab {
   }
 }
 
+/**
+ * Share of the whole work, from 0 to 1.
+ * @param {{work: string, done: number, count: number}} progress
+ */
+function shareOf({ work, done, count }) {
+  const [from, to] = SHARES[work] ?? [0, 1];
+  return from + ((to - from) * done) / Math.max(count, 1);
+}
+
 /** @param {import("./client.js").SceneState} scene */
 function describe(scene) {
   const shown = scene.step < 0 ? "" : `Scene of step ${scene.step.toLocaleString("en")}.`;
-  if (scene.state === "baking") return `${shown} The scene of the newest checkpoint is being baked …`.trim();
+  if (scene.state === "baking") {
+    const percent = scene.progress ? ` (${Math.floor(100 * shareOf(scene.progress))}%)` : "";
+    return `${shown} The scene of the newest checkpoint is being made …${percent}`.trim();
+  }
   if (scene.state === "failed") return `${shown} ${scene.message}`.trim();
   return shown || "The run has no checkpoint yet. The scene appears when the first checkpoint is saved.";
 }

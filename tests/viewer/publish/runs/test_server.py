@@ -100,7 +100,7 @@ def test_the_state_of_a_run(run: Path) -> None:
         curves = json.loads(ask(server, "/run/curves.json")[2])
         assert curves["validation/psnr"] == {"step": [10.0], "value": [19.0]}
         scene = json.loads(ask(server, "/run/scene.json")[2])
-        assert scene == {"state": "none", "step": -1, "message": ""}
+        assert scene == {"state": "none", "step": -1, "message": "", "progress": None}
 
 
 def test_unchanged_answers_are_not_sent_again(run: Path) -> None:
@@ -325,12 +325,16 @@ def test_serving_a_run(run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytes
 
 
 def test_the_scene_is_baked_only_for_a_page_that_asks(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches baking while no page shows the scene, and baking of each checkpoint of a run that trains."""
+    """Catches baking while no page shows the scene, and baking of each checkpoint of a run that trains. Also catches a
+    page that shows the scene of an earlier checkpoint after training has ended."""
     site = RunSite(run, run.parent / "site", "light", Terminal(quiet=True))
     baked: list[str] = []
+    progress: list[dict[str, Any]] = []
 
     def write() -> None:
         baked.append(site._scene._read_version())
+        for _ in site._scene._track(range(5), 5, "pack"):
+            progress.append(json.loads(site.scene())["progress"])
         deadline = time.process_time() + 0.05
         while time.process_time() < deadline:
             pass
@@ -350,8 +354,14 @@ def test_the_scene_is_baked_only_for_a_page_that_asks(run: Path, monkeypatch: py
         while not baked or site._is_baking:
             time.sleep(0.01)
         (run / "checkpoints" / "00000020.safetensors").write_bytes(b"")
-        assert json.loads(site.scene()) == {"state": "ready", "step": 10, "message": ""}
+        assert json.loads(site.scene()) == {"state": "ready", "step": 10, "message": "", "progress": None}
         time.sleep(0.1)
         assert baked == ["00000010.safetensors"]
+    deadline = time.monotonic() + 60
+    while len(baked) < 2 or site._is_baking:
+        assert time.monotonic() < deadline, "the last checkpoint is not baked"
+        time.sleep(0.01)
+    assert json.loads(site.scene())["step"] == 20
+    assert progress[3] == {"work": "pack", "done": 3, "count": 5}
     site.stop()
     thread.join()

@@ -168,12 +168,18 @@ def test_a_restarted_server_and_its_token(
 def test_the_scene_of_a_run(
     run: Path, tmp_path: Path, open_run: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a tab without a player, a tab that is lost when the page is reloaded, and a scene that stays old."""
-    points = iter((50, 70))
+    """Catches a tab without a player, a tab that is lost when the page is reloaded, and a scene that stays old. Also
+    catches a tab that shows no progress until the first scene."""
+    points, wait_for_progress = iter((50, 70)), threading.Event()
     with serving(run, tmp_path / "site") as server:
         assert server.site is not None
 
         def write() -> None:
+            if not (server.folder / SCENE_NAME).exists():
+                scene = server.site._scene
+                for done in scene._track(range(3), 3, "pack"):
+                    if done == 2:  # 70% of the time is that of baking
+                        wait_for_progress.wait()
             write_random_scene(tmp_path / "scene.4dv", frames=2, points=next(points))
             write_scene(tmp_path / "scene.4dv", tmp_path / "packed.4dv", "light")
             (tmp_path / "packed.4dv").replace(server.folder / SCENE_NAME)
@@ -185,6 +191,10 @@ def test_the_scene_of_a_run(
         (run / "checkpoints").mkdir()
         for count, step in ((50, 10), (70, 1020)):
             (run / "checkpoints" / f"{step:08d}.safetensors").write_bytes(b"")
+            if count == 50:
+                wait_for(page, "#scene-note", "is being made … (90%)")
+                assert page.locator("#scene-progress").evaluate("bar => bar.value") == pytest.approx(0.9)
+                wait_for_progress.set()
             wait_for(page, "#scene-note", f"Scene of step {step:,}.")
             shown = f"() => document.querySelector('fourd-player')?.stage?.manifest.points[0] === {count}"
             page.wait_for_function(shown, timeout=TIMEOUT_MS)
