@@ -8,13 +8,13 @@ import numpy as np
 
 from fourd.base.cameras import Camera
 from fourd.scene import BakedFrame, SceneManifest
-from fourd.scene.styles import Style
+from fourd.scene.styles import Style, without_paper
 
 MIN_SCALE, MAX_SCALE = 0.1, 10.0
 """Smallest and largest scale factor for point size and density in the panel."""
-WINDOW_BACKGROUND = (0.09, 0.094, 0.102)
-"""Background colour of the window, unless the user chooses another one: a dark grey, on which dark contours and the
-outlines of cartoons are visible."""
+DEFAULT_BACKGROUND = (0.09, 0.094, 0.102)
+"""Background colour of windows, pages, images and videos, unless the user chooses another one: a dark grey, on which
+black parts of a subject are visible."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,7 @@ class DisplaySettings:
         point_scale: factor by which the points' radii are multiplied.
         density_scale: factor by which the points' densities are multiplied. The scaled densities are clamped to 1.
         style: the style in which the scene is drawn, such as a cartoon, or None for the captured colours.
+        has_own_background: whether the user has chosen the background, which then replaces the paper of styles.
     """
 
     layers: int = 12
@@ -34,6 +35,24 @@ class DisplaySettings:
     point_scale: float = 1.0
     density_scale: float = 1.0
     style: Style | None = None
+    has_own_background: bool = False
+
+    def with_background(self, colour: tuple[float, float, float]) -> DisplaySettings:
+        """Return the settings with a background that the user has chosen."""
+        return replace(self, background=colour, has_own_background=True)
+
+    @property
+    def drawn(self) -> DisplaySettings:
+        """The settings for renderers, in which the chosen background has replaced the paper of the style."""
+        if self.style is None or not self.has_own_background:
+            return self
+        return replace(self, style=without_paper(self.style))
+
+    @property
+    def colour_behind(self) -> tuple[float, float, float]:
+        """The colour where the scene has no points: the paper of the style, or the background."""
+        style = self.drawn.style
+        return self.background if style is None or style.paper is None else style.paper
 
     def scale_points(self, frame: BakedFrame) -> BakedFrame:
         """Return ``frame`` with scaled radii and densities, or ``frame`` itself if both scale factors are 1.

@@ -89,7 +89,7 @@ class Headless:
         self, grey: float, scene: LoadedScene, renderer: OffscreenRenderer, view: tuple[Camera, int]
     ) -> NDArray[np.float32]:
         """Render a view in front of a grey value. Returns (H, W, 3) in [0, 1]."""
-        settings = replace(self.settings, background=(grey, grey, grey))
+        settings = self.settings.with_background((grey, grey, grey))
         picture = next(replace(self, settings=settings)._render(scene, renderer, [view]))
         return picture.astype(np.float32) / np.float32(255)
 
@@ -100,7 +100,7 @@ class Headless:
         for camera, index in views:
             frame = scene.frames.get(index, wait=True)
             assert frame is not None
-            yield renderer.render(RenderRequest(settings.scale_points(frame), camera, scene.manifest, settings))
+            yield renderer.render(RenderRequest(settings.scale_points(frame), camera, scene.manifest, settings.drawn))
 
 
 def _cameras_along_path(

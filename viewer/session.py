@@ -176,7 +176,10 @@ class Session:
             except UserError as error:
                 self.message = str(error)
                 return
-        self.settings = replace(self.settings, style=style)
+        # A paper that the user has just chosen replaces the background.
+        has_paper = before is not None and before.paper != style.paper
+        has_own_background = self.settings.has_own_background and not has_paper
+        self.settings = replace(self.settings, style=style, has_own_background=has_own_background)
 
     def move_to(self, pose: Pose) -> None:
         """Start a transition to ``pose``, which is the pose of a camera."""
@@ -225,7 +228,7 @@ class Session:
         if frame is None:
             return None
         camera = self._camera(self.pose, size, shift)
-        return RenderRequest(self._scale_points(frame), camera, self.scene.manifest, self.settings)
+        return RenderRequest(self._scale_points(frame), camera, self.scene.manifest, self.settings.drawn)
 
     def close(self) -> None:
         """Wait until no scene is being opened, then close all scenes."""

@@ -273,7 +273,7 @@ class ViewerState:
         """Return the image (H, W, 4) of a request without its background."""
         black, white = (
             self.renderer.draw_exact(
-                replace(request, settings=replace(request.settings, background=(grey, grey, grey)))
+                replace(request, settings=request.settings.with_background((grey, grey, grey)).drawn)
             ).astype(np.float32)
             / np.float32(255)
             for grey in (0.0, 1.0)

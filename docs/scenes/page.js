@@ -4,7 +4,7 @@
 /** Duration of a turn around the scene in seconds. */
 const TURN_S = 24;
 /** Attributes of the players that buttons start, without those of the single scene. */
-const ATTRIBUTES = { autoplay: "", embedded: "", background: "#14171c" };
+const ATTRIBUTES = { autoplay: "", embedded: "" };
 
 /** The scene of a button that plays. Only one plays at a time, because each takes memory and the graphics processor. */
 let playing = null;

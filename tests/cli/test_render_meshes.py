@@ -108,7 +108,7 @@ def test_sequences_orbit_and_video(tmp_path: Path) -> None:
     for number, radius in ((2, 0.3), (10, 1.0), (1, 0.6)):
         write_as(folder / f"mesh{number}.glb", sphere(radius, rings=16))
     (folder / "animation.glb").write_bytes(b"not read")
-    words = ["render", str(folder), "--size", "96", "72"]
+    words = ["render", str(folder), "--size", "96", "72", "--background", "0", "0", "0"]
     assert main([*words, "--views", "side 3", "-o", str(tmp_path / "views")]) == 0
     covered = [(picture(tmp_path / "views" / "side 3" / f"{number:06d}.png") > 0).sum() for number in (1, 2, 10)]
     assert covered[1] < covered[0] < covered[2]

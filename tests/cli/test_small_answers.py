@@ -41,9 +41,22 @@ def test_one_image_is_not_called_images(scene: Path, tmp_path: Path, capsys: pyt
     assert printed(capsys, *words, 2).endswith("out: 2 images")
 
 
-def test_a_transparent_image_over_a_colour_is_the_image_with_that_background(scene: Path, tmp_path: Path) -> None:
-    """Catches an alpha channel that is premultiplied twice, or that covers pixels without points."""
-    words = ["render", str(scene), "--views", "01", "--frames", "10:11", "--out"]
+@pytest.mark.parametrize("style", ["", "gooch"])
+def test_a_transparent_image_over_a_colour_is_the_image_with_that_background(
+    style: str, scene: Path, tmp_path: Path
+) -> None:
+    """Catches an alpha channel that is premultiplied twice, or that covers pixels without points. Also catches a style
+    whose paper hides the background that was asked for."""
+    words = [
+        "render",
+        str(scene),
+        "--views",
+        "01",
+        "--frames",
+        "10:11",
+        *(["--style", style] if style else []),
+        "--out",
+    ]
     colour = ["--background", "0.2", "0.6", "0.4"]
     assert main([*words, str(tmp_path / "clear"), "--transparent"]) == 0
     assert main([*words, str(tmp_path / "green"), *colour]) == 0
@@ -53,6 +66,9 @@ def test_a_transparent_image_over_a_colour_is_the_image_with_that_background(sce
     assert rgba.shape[2] == 4
     assert rgba[0, 0, 3] == 0
     assert rgba[..., 3].max() > 0.5
+    if style:
+        assert np.abs(np.asarray(Image.open(green))[0, 0] / 255 - [0.2, 0.6, 0.4]).max() < 1 / 255
+        return
     over = rgba[..., :3] * rgba[..., 3:] + (1 - rgba[..., 3:]) * [0.2, 0.6, 0.4]
     difference = np.abs(over - np.asarray(Image.open(green)) / 255)
     # A pixel whose filtered colour is brighter than its alpha allows cannot be stored with straight alpha.
@@ -104,6 +120,7 @@ def test_render_follows_a_recorded_path(scene: Path, tmp_path: Path, capsys: pyt
     path = tmp_path / "path.json"
     RecordedPath(tuple(PathSample(pose, 1) for pose in poses[:3])).save(path)
     words = ["render", str(scene), "--path", str(path), "--size", "48", "48", "--out", str(tmp_path / "out")]
+    words += ["--background", "0", "0", "0"]
     assert main(words) == 0
     written = sorted((tmp_path / "out").glob("*.png"))
     assert len(written) == 3

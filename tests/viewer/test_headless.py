@@ -103,7 +103,8 @@ def test_a_video_along_a_recorded_path(scene: Path, tmp_path: Path) -> None:
             for pose, sample in zip(poses, recorded.samples, strict=True)
         ]
     recorded.save(tmp_path / "recorded.path.json")
-    run(scene, "--headless", tmp_path / "out.mp4", "--path", tmp_path / "recorded.path.json", "--size", 48, 48)
+    words = ("--path", tmp_path / "recorded.path.json", "--size", 48, 48, "--background", 0, 0, 0)
+    run(scene, "--headless", tmp_path / "out.mp4", *words)
     for image, truth in zip(read_video(tmp_path / "out.mp4"), truths, strict=True):
         assert np.abs(image.astype(float) - truth).mean() < 12, "more than the loss of video compression"
 

@@ -18,8 +18,6 @@ from fourd.cli.main import main as fourd
 from fourd.scene import open_scene
 
 SCENES = Path(__file__).parents[2] / "docs" / "scenes"
-BACKGROUND = (0x14 / 255, 0x17 / 255, 0x1C / 255)
-"""The background of the players in docs/scenes/page.js and docs/index.md."""
 SIDE = 480
 """Width and height of a picture in pixels."""
 PICTURES = {"runner": None, "toon": "toon", "xtoon": "xtoon", "gooch": "gooch", "ink": "ink"}
@@ -33,7 +31,7 @@ def draw(name: str, style: str | None) -> None:
         view = opened.manifest.source_names[0] if opened.manifest.source_names else opened.manifest.other_names[0]
     with tempfile.TemporaryDirectory() as folder:
         words = ["render", str(scene), "--views", view, "--frames", "0:1", "--size", str(SIDE), str(SIDE), "-o", folder]
-        words += ["--background", *map(str, BACKGROUND), *(["--style", style] if style else [])]
+        words += ["--style", style] if style else []
         if fourd(words) != 0:
             sys.exit(f"{name}: fourd render failed")
         (drawn,) = Path(folder).rglob("*.png")

@@ -83,7 +83,7 @@ def _draw_picture(picture: ShownPicture, area: Area, room: Area) -> None:
 
 
 def _fill(state: ViewerState, area: Area) -> None:
-    colour = imgui.color_convert_float4_to_u32(imgui.ImVec4(*state.session.settings.background, 1))
+    colour = imgui.color_convert_float4_to_u32(imgui.ImVec4(*state.session.settings.colour_behind, 1))
     imgui.get_background_draw_list().add_rect_filled(*_corners(area), colour)
 
 

@@ -29,7 +29,7 @@ def _draw(state: ViewerState) -> None:
     changed, colour = imgui.color_edit3("background", list(settings.background))
     if changed:
         red, green, blue = (min(max(float(value), 0.0), 1.0) for value in colour)
-        session.settings = replace(session.settings, background=(red, green, blue))
+        session.settings = session.settings.with_background((red, green, blue))
     theme = state.preferences.theme
     changed, index = imgui.combo("theme", THEMES.index(theme), list(THEMES))
     if changed:

@@ -20,6 +20,7 @@ from fourd.scene.packing.transcode import transcode_scene
 from fourd.scene.packing.writer import Storage
 from fourd.scene.player import Player
 from fourd.scene.styles import Style
+from fourd.viewer.display import DEFAULT_BACKGROUND
 from fourd.viewer.navigation.paths import order_by_azimuth
 from fourd.viewer.publish.styles import STYLES_NAME, load_styles, write_styles
 
@@ -104,7 +105,7 @@ def write_poster(scene: Path, out: Path) -> None:
     try:
         camera = reader.manifest.cameras[0]
         camera = camera.rescale(min(1.0, _POSTER_SIDE / max(camera.width, camera.height)))
-        pixels = Player().draw(reader.read(0), camera, reader.manifest)
+        pixels = Player().draw(reader.read(0), camera, reader.manifest, background=DEFAULT_BACKGROUND)
     finally:
         reader.close()
     Image.fromarray(pixels[..., :3]).save(out, quality=85)

@@ -2,7 +2,7 @@ import { DecodePool } from "./decode/pool.js";
 import { Controls } from "./navigate/controls.js";
 import { estimateUp, poseFromCamera } from "./navigate/pose.js";
 import { fromFragment, toFragment } from "./navigate/share_link.js";
-import { Stage } from "./play/stage.js";
+import { DEFAULT_BACKGROUND, Stage } from "./play/stage.js";
 import { ByteSource } from "./scene/byte_source.js";
 import { ChangedError, SceneError, describeError } from "./scene/errors.js";
 import { SceneFile } from "./scene/scene_file.js";
@@ -94,6 +94,11 @@ export class FourdPlayer extends HTMLElement {
     if (!this.isConnected) return;
     if (name === "src") this.#open();
     else this.styleMenu.follow();
+  }
+
+  /** The background that the attribute names, which replaces the paper of styles; null if there is none. */
+  get ownBackground() {
+    return parseColour(this.getAttribute("background"));
   }
 
   /** Resolves when the image shows the current time and view at full resolution. */
@@ -268,7 +273,7 @@ export class FourdPlayer extends HTMLElement {
     const stage = new Stage(this.panel.canvas, file, pool, this.initialPose, (error) => this.#fail(error));
     this.stage = stage;
     if (this.getAttribute("mode") === "reference") stage.mode = "reference";
-    stage.background = parseColour(this.getAttribute("background"));
+    stage.background = this.ownBackground ?? DEFAULT_BACKGROUND;
     this.panel.setCameras(manifest.cameras.map((camera) => camera.name));
     if (this.hasAttribute("links")) this.#follow(location.hash);
     stage.clock.isPlaying = this.hasAttribute("autoplay") && !(this.hasAttribute("embedded") && prefersStillness());
@@ -369,11 +374,11 @@ export class FourdPlayer extends HTMLElement {
 
 /**
  * @param {string | null} text A colour such as #203040.
- * @returns {[number, number, number]}
+ * @returns {[number, number, number] | null} Null for another text.
  */
 function parseColour(text) {
   const digits = /^#([0-9a-f]{2})([0-9a-f]{2})([0-9a-f]{2})$/i.exec(text ?? "");
-  if (!digits) return [0, 0, 0];
+  if (!digits) return null;
   return [parseInt(digits[1], 16) / 255, parseInt(digits[2], 16) / 255, parseInt(digits[3], 16) / 255];
 }
 

@@ -52,8 +52,10 @@ class Arguments:
     """Width and height of the images in pixels."""
     layers: Annotated[int | None, option("INT", "the source's")] = None
     """Number of points composited per pixel (K), 1 to 64."""
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Background colour: red, green and blue, 0 to 1 each."""
+    background: Annotated[
+        tuple[float, float, float] | None, option("R G B", "the paper of the style, or else dark grey")
+    ] = None
+    """Background colour: red, green and blue, 0 to 1 each. Captures with masks are trained on black, 0 0 0."""
     transparent: bool = False
     """Write PNG files with an alpha channel instead of a background."""
     style: StyleName = None
@@ -72,9 +74,8 @@ def run(arguments: Arguments) -> None:
         raise UserError("--views, --path: expected exactly one of them; write --views 05,11 or --path orbit")
     if arguments.transparent and is_video(arguments.out):
         raise UserError(f"--transparent: expected a folder of PNG files, got {arguments.out}; name a folder with --out")
-    check_rendering(
-        arguments.layers, arguments.background, size=arguments.size, steps=arguments.steps, fps=arguments.fps
-    )
+    size, steps = arguments.size, arguments.steps
+    check_rendering(arguments.layers, _background(arguments), size=size, steps=steps, fps=arguments.fps)
     with scene_or_copy(arguments.source) as source:
         written = _render(arguments, source, console)
     console.print(f"{arguments.out}: {count_text(written, 'image')}", soft_wrap=True)
@@ -100,11 +101,13 @@ def _open(arguments: Arguments, source: Location) -> Playable:
     from fourd.scene.meshes.playable import PlayableMeshes
     from fourd.scene.meshes.source import is_mesh
     from fourd.scene.playable import open_playable
-    from fourd.scene.styles import load_style
+    from fourd.scene.styles import load_style, without_paper
     from fourd.viewer.playback.sources import open_frame_source
     from fourd.viewer.rendering.drawn_playable import DrawnPlayable, StyleDrawer
 
     style = None if arguments.style is None else load_style(arguments.style)
+    if style is not None and (arguments.background is not None or arguments.transparent):
+        style = without_paper(style)
     if isinstance(source, Path) and is_mesh(source):
         return PlayableMeshes(source, style)
     playable = open_playable(source)
@@ -217,6 +220,12 @@ def _track(jobs: list[tuple[str, Camera, int]], console: Console) -> Iterator[tu
     yield from track(jobs, description="render", console=console)
 
 
+def _background(arguments: Arguments) -> tuple[float, float, float]:
+    from fourd.viewer.display import DEFAULT_BACKGROUND
+
+    return arguments.background or DEFAULT_BACKGROUND
+
+
 def _rgb(playable: Playable, camera: Camera, frame: int, arguments: Arguments) -> NDArray[np.uint8]:
     """Return an image (H, W, 3), or (H, W, 4) with --transparent."""
     import numpy as np
@@ -226,7 +235,7 @@ def _rgb(playable: Playable, camera: Camera, frame: int, arguments: Arguments) -
     if arguments.transparent:
         black, white = (playable.render(camera, frame, arguments.layers, np.full(3, x, np.float32)) for x in (0, 1))
         return with_alpha(black, white)
-    rgb = playable.render(camera, frame, arguments.layers, np.asarray(arguments.background, np.float32))
+    rgb = playable.render(camera, frame, arguments.layers, np.asarray(_background(arguments), np.float32))
     return (rgb.clip(0, 1) * 255 + 0.5).astype(np.uint8)
 
 

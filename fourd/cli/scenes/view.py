@@ -44,7 +44,7 @@ class Arguments:
     layers: Annotated[int | None, option("INT", "the scene's")] = None
     """Number of points composited per pixel (K), 1 to 64. Ignored by --renderer sorted, which composites all points."""
     background: Annotated[
-        tuple[float, float, float] | None, option("R G B", "dark grey in a window, otherwise black")
+        tuple[float, float, float] | None, option("R G B", "the paper of the style, or else dark grey")
     ] = None
     """Background colour: red, green and blue, 0 to 1 each."""
     transparent: bool = False
@@ -73,12 +73,16 @@ class Arguments:
 def run(arguments: Arguments) -> None:
     """Open a window, or write a video or an image."""
     from fourd.scene.styles import load_style
-    from fourd.viewer.display import WINDOW_BACKGROUND, DisplaySettings
+    from fourd.viewer.display import DEFAULT_BACKGROUND, DisplaySettings
 
     console = Terminal(stderr=True)
-    has_window = arguments.headless is None and arguments.screenshot is None
-    background = arguments.background or (WINDOW_BACKGROUND if has_window else (0.0, 0.0, 0.0))
-    check_rendering(arguments.layers, background, size=arguments.size, steps=arguments.steps, fps=arguments.fps)
+    check_rendering(
+        arguments.layers,
+        arguments.background or DEFAULT_BACKGROUND,
+        size=arguments.size,
+        steps=arguments.steps,
+        fps=arguments.fps,
+    )
     if arguments.transparent and (arguments.screenshot is None or arguments.headless is not None):
         raise UserError("--transparent: expected --screenshot FILE.png alone, got another output; videos have no alpha")
     if arguments.capture is not None:
@@ -86,7 +90,9 @@ def run(arguments: Arguments) -> None:
 
         require_capture(arguments.capture)
     style = None if arguments.style is None else load_style(arguments.style)
-    settings = DisplaySettings(layers=arguments.layers or 0, background=background, style=style)
+    settings = DisplaySettings(layers=arguments.layers or 0, background=DEFAULT_BACKGROUND, style=style)
+    if arguments.background is not None:
+        settings = settings.with_background(arguments.background)
     with nullcontext() if arguments.source is None else local_copy(arguments.source, transfer_progress()) as source:
         _view(arguments, source, settings, console)
 

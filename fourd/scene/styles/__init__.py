@@ -11,11 +11,20 @@ from fourd.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from fourd.scene.styles.normals import decode_octahedral, encode_octahedral, estimate_normals
-    from fourd.scene.styles.presets import PRESETS, load_style
+    from fourd.scene.styles.presets import PRESETS, load_style, without_paper
     from fourd.scene.styles.styles import Style
     from fourd.scene.styles.view import view_style
 
-__all__ = ["PRESETS", "Style", "decode_octahedral", "encode_octahedral", "estimate_normals", "load_style", "view_style"]
+__all__ = [
+    "PRESETS",
+    "Style",
+    "decode_octahedral",
+    "encode_octahedral",
+    "estimate_normals",
+    "load_style",
+    "view_style",
+    "without_paper",
+]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
@@ -27,5 +36,6 @@ __getattr__, __dir__ = lazy_names(
         "estimate_normals": "normals",
         "load_style": "presets",
         "view_style": "view",
+        "without_paper": "presets",
     },
 )

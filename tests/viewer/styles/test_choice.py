@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from fourd.base.configs import load_overlay, save_config
 from fourd.scene import BakedFrame, SceneManifest, SceneWriter
 from fourd.scene.styled.normals import add_normals
 from fourd.scene.styles import PRESETS, Style, load_style
-from fourd.viewer.display import DisplaySettings
+from fourd.viewer.display import DEFAULT_BACKGROUND, DisplaySettings
 from fourd.viewer.loaded_scene import LoadedScene
 from fourd.viewer.playback.sources import open_frame_source
 from fourd.viewer.rendering.cpu import CPURenderer
@@ -63,6 +64,37 @@ def test_presets_and_files_can_be_chosen(session: Session, tmp_path: Path) -> No
     session.choose_style(str(path))
     assert session.settings.style is not None
     assert session.settings.style.lines.thickness == 4
+
+
+def test_a_chosen_background_replaces_the_paper(session: Session) -> None:
+    """Catches --background that has no effect for a style with paper, a saved style without its paper, and paper that
+    the user chooses in the panel and that is not drawn."""
+    session.choose_style("toon")
+
+    def drawn() -> tuple[object, object]:
+        request = session.render_request(SIZE, wait=True)
+        assert request is not None
+        assert request.settings.style is not None
+        return request.settings.style.paper, request.settings.background
+
+    assert drawn()[0] == load_style("toon").paper is not None
+    session.settings = session.settings.with_background((0.2, 0.3, 0.4))
+    session.choose_style("ink")
+    assert drawn() == (None, (0.2, 0.3, 0.4))
+    assert session.settings.style == load_style("ink")
+    session.set_style(replace(load_style("ink"), paper=(1.0, 0.9, 0.8)))
+    assert drawn()[0] == (1.0, 0.9, 0.8)
+
+
+def test_the_page_has_the_background_of_the_window() -> None:
+    """Catches a page, or its image before the scene is loaded, with another background than windows and images."""
+    web = Path(__file__).parents[3] / "viewer" / "web"
+    found = re.search(r"DEFAULT_BACKGROUND = \[(.+?)\];", (web / "play" / "stage.js").read_text())
+    assert found is not None
+    assert tuple(float(value) for value in found[1].split(",")) == DEFAULT_BACKGROUND
+    colour = "#" + "".join(f"{round(255 * value):02x}" for value in DEFAULT_BACKGROUND)
+    for file in ("ui/style.js", "page.css"):
+        assert f"background: {colour};" in (web / file).read_text()
 
 
 def test_changes_can_be_saved_and_reset(session: Session, tmp_path: Path) -> None:

@@ -72,6 +72,7 @@ class PlayerPage:
         }
         script = """
             stage.mode = argument.mode;
+            stage.background = [0, 0, 0];
             stage.fixedCamera = argument.camera;
             stage.isDirty = true;
             await player.settled();

@@ -9,6 +9,9 @@ import { Quality } from "./quality.js";
 /** Time in milliseconds without motion after which the image is drawn at full resolution. */
 const REST_MS = 250;
 
+/** Dark grey, on which black parts of a subject are visible. @type {[number, number, number]} */
+export const DEFAULT_BACKGROUND = [0.09, 0.094, 0.102];
+
 /** Plays a scene in a canvas, which is drawn only if something has changed. */
 export class Stage {
   /**
@@ -34,7 +37,7 @@ export class Stage {
     this.mode = "sorted";
     this.layers = this.manifest.layers;
     /** @type {[number, number, number]} */
-    this.background = [0, 0, 0];
+    this.background = DEFAULT_BACKGROUND;
     /** @type {import("../draw/renderer.js").ReadyStyle | null} */
     this.style = null;
     /** How many more times a paused frame is drawn, so that the lines of a style can fade in. */

@@ -3,7 +3,7 @@
  * players as narrow as a phone. The bar has one row; a player that is too narrow for all controls has the button `more`.
  */
 export const STYLE = `
-:host { display: block; position: relative; overflow: hidden; background: #000; color: #fff;
+:host { display: block; position: relative; overflow: hidden; background: #17181a; color: #fff;
   font: 14px/1.4 system-ui, sans-serif; outline: none; container-type: inline-size; --control: 32px; }
 :host([hidden]) { display: none; }
 canvas { position: absolute; inset: 0; width: 100%; height: 100%; touch-action: none; cursor: grab; }

@@ -73,7 +73,8 @@ export class StyleMenu {
     if (!stage.renderer?.gl.getExtension("EXT_color_buffer_float")) {
       throw new SceneError("WebGL: expected the extension EXT_color_buffer_float for styles, got none; use a newer browser");
     }
-    return { style, table: await readTable(style) };
+    const drawn = this.player.ownBackground ? { ...style, paper: null } : style;
+    return { style: drawn, table: await readTable(style) };
   }
 
   async #load() {

@@ -18,6 +18,12 @@ STYLE_SUFFIXES = (".yaml", ".yml")
 """Suffixes of style files."""
 
 
+def without_paper(style: Style) -> Style:
+    """Return the style with the image's background colour behind the scene, because the user has chosen that colour or
+    wants none."""
+    return replace(style, paper=None)
+
+
 def load_style(name: str) -> Style:
     """Load a preset by its name, or a style file. The path of a shade map (see :class:`fourd.scene.styles.styles.Ramp`)
     is relative to the style file.
