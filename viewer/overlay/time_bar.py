@@ -43,9 +43,8 @@ def draw_time_bar(state: ViewerState) -> None:
 
 
 def time_text(playback: Playback, frame: int, *, has_frame: bool) -> str:
-    """Return the time of a frame and of the last frame in seconds and, if ``has_frame``, the frame's number."""
-    last = playback.frame_count - 1
-    seconds = f"{frame / playback.fps:.2f} / {last / playback.fps:.2f} s"
+    """Return the time of a frame and the duration in seconds and, if ``has_frame``, the frame's number."""
+    seconds = f"{frame / playback.fps:.2f} / {playback.frame_count / playback.fps:.2f} s"
     return f"{seconds}   frame {frame + 1} / {playback.frame_count}" if has_frame else seconds
 
 

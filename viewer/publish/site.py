@@ -40,6 +40,7 @@ def write_site(
     level: int | None = None,
     styles: Mapping[str, Style] | None = None,
     has_normals: bool = True,
+    url: str | None = None,
 ) -> None:
     """Write a folder with a page, a poster image, the player's modules and the scene.
 
@@ -56,6 +57,8 @@ def write_site(
             :func:`fourd.scene.packing.pack.pack_scene`.
         styles: the styles that the page offers, by name. If None, the page offers the presets.
         has_normals: whether to write normals, which styles need. If the source has none, they are estimated.
+        url: address at which the page will be, or None. Programs that show a preview of a link need it to find the
+            poster image.
 
     Raises:
         UserError: if ``source`` is not a valid scene, or if ``out`` contains files but no earlier site.
@@ -65,7 +68,7 @@ def write_site(
     with atomic_folder(out) as folder:
         write_scene(source, folder / SCENE_NAME, tier, track, level=level, has_normals=has_normals)
         write_poster(folder / SCENE_NAME, folder / POSTER_NAME)
-        copy_player(folder, title or source.stem, styles=styles)
+        copy_player(folder, title or source.stem, styles=styles, url=url)
 
 
 def is_site(folder: Path) -> bool:
@@ -111,18 +114,35 @@ def write_poster(scene: Path, out: Path) -> None:
     Image.fromarray(pixels[..., :3]).save(out, quality=85)
 
 
-def copy_player(folder: Path, title: str, is_live: bool = False, styles: Mapping[str, Style] | None = None) -> None:
+def copy_player(
+    folder: Path,
+    title: str,
+    is_live: bool = False,
+    styles: Mapping[str, Style] | None = None,
+    url: str | None = None,
+) -> None:
     """Copy the page and the player's modules, and write the styles that the player offers.
 
     If ``is_live`` is True, an open page loads the scene file again whenever it changes on the server. If ``styles`` is
-    None, the page offers the presets.
+    None, the page offers the presets. ``url`` is the address of the page, or None if it is not known.
     """
     copy_modules(folder, styles)
     with as_file(files("fourd.viewer") / "web") as web:
         page = (web / "index.html").read_text(encoding="utf-8")
+        page = page.replace("{{preview}}", _preview(url))
         page = page.replace("{{scene}}", SCENE_NAME).replace("{{live}}", " live" if is_live else "")
         _write_page(folder, page, title, loaded_modules(folder))
         shutil.copyfile(web / "page.css", folder / "page.css")
+
+
+def _preview(url: str | None) -> str:
+    """Return the tags of the image that previews of links show. Its address must be absolute, so that there are no tags
+    if the address of the page is not known."""
+    if url is None:
+        return ""
+    base = html.escape(url if url.endswith("/") else f"{url}/", quote=True)
+    tags = {"og:url": base, "og:image": f"{base}{POSTER_NAME}"}
+    return "\n    ".join(f'<meta property="{name}" content="{value}" />' for name, value in tags.items())
 
 
 def copy_modules(folder: Path, styles: Mapping[str, Style] | None = None) -> None:

@@ -78,6 +78,9 @@ export class FourdPlayer extends HTMLElement {
     this.inView.observe(this);
     if (this.hasAttribute("links")) window.addEventListener("hashchange", this.followLink);
     if (this.hasAttribute("live")) this.liveTimer = setInterval(() => this.#openIfChanged(), LIVE_MS);
+    // The keys work at once in a page whose address belongs to the player. In other pages, the reader chooses the player.
+    const hasFocus = document.activeElement !== document.body;
+    if (this.hasAttribute("links") && !hasFocus) this.focus({ preventScroll: true });
     this.#open();
   }
 
@@ -274,6 +277,7 @@ export class FourdPlayer extends HTMLElement {
     this.stage = stage;
     if (this.getAttribute("mode") === "reference") stage.mode = "reference";
     stage.background = this.ownBackground ?? DEFAULT_BACKGROUND;
+    this.panel.bar.hidden = this.getAttribute("controls") === "none";
     this.panel.setCameras(manifest.cameras.map((camera) => camera.name));
     if (this.hasAttribute("links")) this.#follow(location.hash);
     stage.clock.isPlaying = this.hasAttribute("autoplay") && !(this.hasAttribute("embedded") && prefersStillness());
@@ -347,6 +351,8 @@ export class FourdPlayer extends HTMLElement {
     }
     this.panel.spinner.hidden = true;
     this.panel.showError(describeError(error));
+    // Without an image, there is nothing that the controls could change, and the list of cameras is empty.
+    if (!this.firstImageMs) this.panel.bar.hidden = true;
     if (this.stage) this.stage.clock.isPlaying = false;
     this.dispatchEvent(new CustomEvent("error", { detail: error }));
   }

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
+from urllib.parse import urlsplit
 
 import tyro
 from rich.console import Console
@@ -35,6 +36,8 @@ class Arguments:
     tier: Annotated[Tier, describe(*TIER_HELP)] = "stream"
     title: Annotated[str | None, option("TEXT", "the name of the file")] = None
     """Title of the page."""
+    url: Annotated[str | None, option("https://...", "none")] = None
+    """Address at which the folder will be, so that programs that show previews of links find the poster image."""
     max_mbps: MaxMbps = None
     style: PageStyles = ()
     normals: bool = True
@@ -47,6 +50,7 @@ def run(arguments: Arguments) -> None:
     from fourd.viewer.publish.styles import load_styles
 
     check_mbps(arguments.max_mbps)
+    check_url(arguments.url)
     styles = load_styles(arguments.style)
     console = Terminal(stderr=True)
     track = Tracker(console).track
@@ -64,7 +68,15 @@ def run(arguments: Arguments) -> None:
         level=level,
         styles=styles,
         has_normals=arguments.normals,
+        url=arguments.url,
     )
+
+
+def check_url(url: str | None) -> None:
+    """Raise UserError unless ``url`` is None or the absolute address of a web page."""
+    parts = urlsplit(url or "https://x/")
+    if parts.scheme not in ("http", "https") or not parts.netloc or parts.query or parts.fragment:
+        raise UserError(f"--url: expected an address such as https://example.com/scene/, got '{url}'; write all of it")
 
 
 def write_page(
@@ -77,6 +89,7 @@ def write_page(
     level: int | None = None,
     styles: Mapping[str, Style] | None = None,
     has_normals: bool = True,
+    url: str | None = None,
 ) -> None:
     """Write the folder of a page that plays ``scene``, and print its size. The arguments are those of
     :func:`fourd.viewer.publish.site.write_site`."""
@@ -93,6 +106,7 @@ def write_page(
             level=level,
             styles=styles,
             has_normals=has_normals,
+            url=url,
         )
     size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file()) / 1e6
     line = f"{out}: {size:.1f} MB; next: {command_line('fourd', 'serve', out)}"

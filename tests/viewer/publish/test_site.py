@@ -12,6 +12,7 @@ import pytest
 
 from fourd.base.errors import UserError
 from fourd.cli.main import main
+from fourd.cli.scenes.web import check_url
 from fourd.scene import SceneReader
 from fourd.scene.files.encoding import Tier
 from fourd.scene.packed.streams import StreamError, compress, decompress
@@ -27,10 +28,11 @@ from tests.viewer.scenes import write_shells
 
 def test_files_of_a_site(tmp_path: Path) -> None:
     """Catches a site without the modules that its page loads, a site with the examples, and text of the title that
-    becomes markup."""
+    becomes markup. Also catches a preview image with a relative address, which no program finds."""
     write_scene(tmp_path / "scene.4dv")
     write_site(tmp_path / "scene.4dv", tmp_path / "site", "stream", title="<b>")
-    write_site(tmp_path / "scene.4dv", tmp_path / "site", "stream", title="<b>")
+    assert "og:image" not in (tmp_path / "site" / "index.html").read_text()
+    write_site(tmp_path / "scene.4dv", tmp_path / "site", "stream", title="<b>", url="https://example.com/a")
     names = {path.relative_to(tmp_path / "site").as_posix() for path in (tmp_path / "site").rglob("*.*")}
     assert {"index.html", "page.css", "poster.jpg", SCENE_NAME, "player/fourd-player.js"} <= names
     assert {"player/decode/worker.js", "player/sort/worker.js", "player/stylize.json"} <= names
@@ -38,10 +40,18 @@ def test_files_of_a_site(tmp_path: Path) -> None:
     page = (tmp_path / "site" / "index.html").read_text()
     assert "<title>&lt;b&gt;</title>" in page
     assert 'name="description" content="&lt;b&gt;: ' in page
+    assert '"og:image" content="https://example.com/a/poster.jpg"' in page
     assert "{{" not in page
     preloaded = re.findall(r'"modulepreload" href="([^"]+)"', page)
     assert len(preloaded) > 20
     assert set(preloaded) <= names
+
+
+@pytest.mark.parametrize("url", ["example.com", "ftp://example.com/", "https://", "https://example.com/?a=1"])
+def test_an_address_that_is_no_page_is_refused(url: str) -> None:
+    """Catches a preview image at an address that nobody can open."""
+    with pytest.raises(UserError, match=r"--url: expected an address such as https://example\.com/scene/, got"):
+        check_url(url)
 
 
 def test_transcoding_keeps_the_points(tmp_path: Path) -> None:

@@ -35,7 +35,9 @@ def show(open_page: Callable[..., PlayerPage], object_site: Path, tmp_path: Path
 
         def open_one(scene: bytes) -> str:
             (site / SCENE_NAME).write_bytes(scene)
-            message = open_page(server.url).error()
+            page = open_page(server.url)
+            message = page.error()
+            assert page.run("return player.panel.bar.hidden;"), "controls without a scene"
             assert "\n" not in message
             return message
 

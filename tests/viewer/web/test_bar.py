@@ -63,8 +63,10 @@ def test_a_button_shows_the_controls_without_room(object_site: Path, open_page: 
         assert {each["name"] for each in opened} == {each["name"] for each in controls(wide)} | {"More controls"}
         assert min(each["left"] for each in opened) >= 0
         assert max(each["right"] for each in opened) <= PHONE[0]
-        page.page.get_by_role("button", name="Controls", exact=True).tap()
+        page.page.get_by_role("button", name="Help (?)", exact=True).tap()
         page.wait("!player.panel.help.hidden")
+        assert page.page.get_by_text("one finger", exact=True).is_visible()
+        assert not page.page.get_by_text("drag, one finger").is_visible()
         page.page.get_by_role("button", name="More controls", expanded=True).tap()
         assert controls(page) == before
 

@@ -29,16 +29,43 @@ def test_it_plays_loops_and_pauses(open_page: Callable[..., PlayerPage], object_
 
 
 def test_keys_and_the_time_bar_select_frames(play: PlayerPage) -> None:
-    """Catches keys without effect, and a time bar that shows another frame than the image."""
-    play.run("player.focus();")
+    """Catches keys without effect, or that have an effect only after a click on the page, and a time bar that shows
+    another frame than the image."""
     for key, frame in (("End", 5), ("ArrowRight", 0), ("ArrowRight", 1), ("Home", 0), ("ArrowLeft", 5)):
         play.page.keyboard.press(key)
         play.run("await player.settled();")
         assert play.run("return [stage.order.frame, Number(player.panel.scrub.value)];") == [frame, frame]
+    assert play.run("return player.panel.time.textContent;") == "0.21 / 0.25 s"
     play.run(
         "player.panel.scrub.value = 3; player.panel.scrub.dispatchEvent(new Event('input')); await player.settled();"
     )
     assert play.run("return stage.order.frame;") == 3
+
+
+def test_each_key_of_the_help_has_its_effect(play: PlayerPage) -> None:
+    """Catches a key of the help that does nothing in a browser, where its code differs from the letter on it."""
+    play.wait("!player.panel.styles.hidden")
+
+    def becomes(key: str, condition: str) -> None:
+        play.page.keyboard.press(key)
+        play.wait(condition)
+
+    for key in ("?", "h", "F1"):
+        becomes(key, "!player.panel.help.hidden")
+        becomes("Escape" if key == "?" else key, "player.panel.help.hidden")
+    becomes("t", "player.panel.styles.value === 'toon'")
+    becomes("[", "stage.clock.speed === 0.5")
+    becomes("]", "stage.clock.speed === 1")
+    becomes("l", "!stage.clock.loops")
+    becomes("n", "player.panel.camera.value === '0'")
+    becomes("n", "player.panel.camera.value === '1'")
+    becomes("p", "player.panel.camera.value === '0'")
+    becomes("Space", "stage.clock.isPlaying")
+    becomes("c", "location.hash.includes('t=')")
+    becomes("f", "document.fullscreenElement === player")
+    becomes("f", "document.fullscreenElement === null")
+    with play.page.expect_download():
+        play.page.keyboard.press("i")
 
 
 def test_mouse_wheel_and_keys_move_the_view(play: PlayerPage) -> None:

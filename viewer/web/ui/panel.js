@@ -22,6 +22,12 @@ const HELP = [
   ["?, H, F1", "help"],
   ["Esc", "close the help"],
 ];
+/** What fingers do, on screens without a mouse. */
+const TOUCH_HELP = [
+  ["one finger", "orbit"],
+  ["two fingers", "pan"],
+  ["pinch", "move nearer or farther"],
+];
 
 /** The elements of the player in its shadow tree: image, buttons and messages. */
 export class Panel {
@@ -51,7 +57,7 @@ export class Panel {
     this.full = button("full", "Full screen (F)");
     this.vr = button("vr", "Enter VR");
     this.vr.hidden = true;
-    this.question = button("help", "Controls");
+    this.question = button("help", "Help (?)");
     this.bar = element("div", { className: "bar" });
     // Controls without room in a narrow player. The button `more` shows them in a row above the others.
     this.extra = element("div", { className: "extra", id: "extra" });
@@ -128,7 +134,7 @@ export class Panel {
   showTime(clock) {
     const last = clock.frames - 1;
     setIcon(this.play, clock.isPlaying ? "pause" : "play");
-    setText(this.time, `${(clock.frame / clock.fps).toFixed(2)} / ${(last / clock.fps).toFixed(2)} s`);
+    setText(this.time, `${(clock.frame / clock.fps).toFixed(2)} / ${(clock.frames / clock.fps).toFixed(2)} s`);
     if (this.scrub.max !== String(last)) this.scrub.max = String(last);
     if (this.scrub.value !== String(clock.frame)) this.scrub.value = String(clock.frame);
     if (this.speed.value !== String(clock.speed)) this.speed.value = String(clock.speed);
@@ -136,15 +142,23 @@ export class Panel {
   }
 }
 
-function makeHelp() {
-  const help = element("div", { className: "help", hidden: true });
-  const table = document.createElement("table");
-  for (const [keys, action] of HELP) {
+/**
+ * @param {string} className
+ * @param {string[][]} rows
+ */
+function makeTable(className, rows) {
+  const table = element("table", { className });
+  for (const [input, action] of rows) {
     const row = table.insertRow();
-    row.insertCell().textContent = keys;
+    row.insertCell().textContent = input;
     row.insertCell().textContent = action;
   }
-  help.append(table);
+  return table;
+}
+
+function makeHelp() {
+  const help = element("div", { className: "help", hidden: true });
+  help.append(makeTable("with-keys", HELP), makeTable("with-fingers", TOUCH_HELP));
   return help;
 }
 

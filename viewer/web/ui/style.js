@@ -46,6 +46,11 @@ button:focus-visible, select:focus-visible, input:focus-visible { outline: 2px s
 .help { position: absolute; top: 12px; left: 12px; padding: 10px 14px; border-radius: 6px; background: rgb(20 20 20 / 88%);
   max-height: calc(100% - 90px); overflow: auto; }
 .help table { border-spacing: 10px 1px; }
+.with-fingers { display: none; }
+@media (hover: none) and (pointer: coarse) {
+  .with-keys { display: none; }
+  .with-fingers { display: table; }
+}
 .spinner { position: absolute; left: 50%; top: 50%; width: 40px; height: 40px; margin: -20px; border-radius: 50%;
   border: 4px solid rgb(255 255 255 / 25%); border-top-color: #fff; animation: turn 1s linear infinite; pointer-events: none; }
 [hidden] { display: none !important; }
