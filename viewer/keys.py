@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from imgui_bundle import imgui
 
 from fourd.viewer.comparison.comparison import MODES
+from fourd.viewer.navigation.bookmarks import MAX_BOOKMARKS
 from fourd.viewer.playback.clock import SPEEDS
 from fourd.viewer.rendering.renderers import RENDERERS
 from fourd.viewer.state import ViewerState
@@ -107,6 +108,10 @@ def _change_camera(step: int) -> Callable[[ViewerState], None]:
     return act
 
 
+def _go_to_bookmark(index: int) -> Callable[[ViewerState], None]:
+    return lambda state: state.move_to_bookmark(index)
+
+
 def _next_renderer(state: ViewerState) -> None:
     name = RENDERERS[(RENDERERS.index(state.renderer.choice.name) + 1) % len(RENDERERS)]
     state.defer(lambda: state.switch_renderer(name))
@@ -158,8 +163,15 @@ SHORTCUTS = (
     Shortcut("L", "loop", ((_Key.l, _toggle_loop),)),
     Shortcut("N, P", "next camera, previous camera", ((_Key.n, _change_camera(1)), (_Key.p, _change_camera(-1)))),
     Shortcut("0", "initial view", ((_Key._0, lambda state: state.move_to_initial_view()),)),
+    Shortcut("B", "keep this view as a bookmark", ((_Key.b, lambda state: state.add_bookmark()),)),
+    Shortcut(
+        "1 to 9",
+        "go to a bookmark",
+        tuple((getattr(_Key, f"_{number}"), _go_to_bookmark(number - 1)) for number in range(1, MAX_BOOKMARKS + 1)),
+    ),
     Shortcut("T", "next style", ((_Key.t, _next_style),)),
     Shortcut("V", "compare with the captured picture", ((_Key.v, _next_comparison),)),
+    Shortcut("M", "measure a distance", ((_Key.m, lambda state: state.measurement.toggle()),)),
     Shortcut("R", "next renderer", ((_Key.r, _next_renderer),)),
     Shortcut(
         "I, F12",

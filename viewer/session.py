@@ -181,10 +181,10 @@ class Session:
         has_own_background = self.settings.has_own_background and not has_paper
         self.settings = replace(self.settings, style=style, has_own_background=has_own_background)
 
-    def move_to(self, pose: Pose) -> None:
-        """Start a transition to ``pose``, which is the pose of a camera."""
+    def move_to(self, pose: Pose, *, is_free: bool = False) -> None:
+        """Start a transition to ``pose``. ``is_free`` says that it is not the pose of a camera."""
         if self.pose is not None:
-            self._transition, self.is_free = (self.pose, pose, 0.0), False
+            self._transition, self.is_free = (self.pose, pose, 0.0), is_free
 
     def set_pose(self, pose: Pose) -> None:
         """Set the pose that the user has chosen, and end any transition."""

@@ -22,6 +22,8 @@ from fourd.viewer.interface.file_dialog import FileDialog, has_file_dialogs
 from fourd.viewer.interface.layout import Area, Layout, has_room_for_panel
 from fourd.viewer.interface.notice_clock import NoticeClock
 from fourd.viewer.loaded_scene import LoadedScene
+from fourd.viewer.measuring.measurement import Measurement
+from fourd.viewer.navigation.bookmarks import Bookmarks
 from fourd.viewer.navigation.preferences import Preferences, PreferencesFile
 from fourd.viewer.navigation.recorded_path import PathRecorder, PathSample, RecordedPath
 from fourd.viewer.navigation.saved_views import SavedViews, default_file
@@ -47,12 +49,14 @@ class ViewerState:
         renderer: draws the session into the window.
         timings: times of the last images.
         comparison: the comparison with the captured pictures.
+        measurement: the distance that the user measures.
         recorder: recorder of the camera path, or None while no path is being recorded.
         recorded_path: the last recording of this scene.
         notice: tells how strongly the session's message is visible.
         preferences: what the viewer remembers from one start to the next.
         is_help_open: whether the help is visible.
         camera_index: index of the capture camera that was selected last.
+        bookmarks: the views of the scene that the user has kept.
         has_alpha: whether screenshots have an alpha channel instead of a background.
         typed_path: what the user has typed as the path of a scene to open.
     """
@@ -64,6 +68,7 @@ class ViewerState:
         self.renderer = renderer
         self.timings = Timings()
         self.comparison = Comparison(renderer.context, capture)
+        self.measurement = Measurement()
         self.recorder: PathRecorder | None = None
         self.recorded_path: RecordedPath | None = None
         self.notice = NoticeClock()
@@ -72,6 +77,7 @@ class ViewerState:
         self.has_alpha = False
         self.typed_path = ""
         self._saved_views = SavedViews(default_file())
+        self.bookmarks = Bookmarks(default_file().with_name("bookmarks.json"))
         self._preferences_file = PreferencesFile(default_file().with_name("window.json"))
         self.preferences = self._preferences_file.load()
         self._wants_panel = has_room_for_panel(window.size[0], self.text_scale)
@@ -154,6 +160,8 @@ class ViewerState:
             # The room for the picture depends on the panel and the bar, which are there from now on.
             self.session.pose = scene.initial_pose(size, self._room)
         self.session.is_free, self.camera_index = saved is not None, 0
+        self.bookmarks.open(scene.path)
+        self.measurement.reset()
         self.set_preferences(self.preferences.with_recent(scene.path))
         self.renderer.reset()
         self.recorded_path = self.recorder = None
@@ -231,6 +239,21 @@ class ViewerState:
         if self.session.scene is not None:
             self.camera_index = 0
             self.session.move_to(self.session.scene.initial_pose(self.window.framebuffer_size, self._room))
+
+    def add_bookmark(self) -> None:
+        """Keep the view and the frame as a bookmark."""
+        if self.session.pose is not None:
+            view = PathSample(self.session.pose, self.session.playback.frame)
+            self.session.message = self.bookmarks.add(view)
+
+    def move_to_bookmark(self, index: int) -> None:
+        """Pause at the frame of a bookmark, and start a transition to its view. The call is ignored if there is no such
+        bookmark."""
+        if index < len(self.bookmarks.kept):
+            view, playback = self.bookmarks.kept[index], self.session.playback
+            playback.is_playing = False
+            playback.seek(view.frame)
+            self.session.move_to(view.pose, is_free=True)
 
     def compare(self, mode: Mode) -> None:
         """Compare the scene with the captured picture of the camera that is shown, or to which the view is nearest."""

@@ -144,7 +144,8 @@ def test_held_keys_fly(viewer: Viewer) -> None:
 
 
 def test_keys_move_to_capture_cameras_and_back(viewer: Viewer) -> None:
-    """Catches a transition to a wrong camera, and a key 0 that does not restore the initial view."""
+    """Catches a transition to a wrong camera, and a key 0 that does not restore the initial view.
+    Also catches a bookmark that does not return to its view."""
     pause_at(viewer, "Home", 1)
     viewer.key("0")  # the scene was opened with the panel, beside which it was smaller
     time.sleep(1.0)
@@ -153,6 +154,12 @@ def test_keys_move_to_capture_cameras_and_back(viewer: Viewer) -> None:
     viewer.until(lambda: not close(stable_image(viewer), first), "another camera's view")
     viewer.key("0")
     viewer.until(lambda: close(window_image(viewer), first), "the initial view")
+    viewer.key("b")
+    viewer.key("Escape")  # closes the notice
+    viewer.key("n")
+    viewer.until(lambda: not close(stable_image(viewer), first), "another camera's view")
+    viewer.key("1")
+    viewer.until(lambda: close(window_image(viewer), first), "the view of the bookmark")
 
 
 def close(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:

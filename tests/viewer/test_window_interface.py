@@ -92,7 +92,8 @@ def test_a_small_window_shows_the_subject_in_its_middle(open_viewer: Callable[..
 
 
 def test_the_time_bar_seeks(open_viewer: Callable[..., Viewer], scene: Path, tmp_path: Path) -> None:
-    """Catches a track that does not follow the mouse, and one that ends before the last frame."""
+    """Catches a track that does not follow the mouse, and one that ends before the last frame. Also catches a click
+    that measures nothing, or at another place."""
     viewer = open_viewer(str(scene), "--size", str(SIZE[0]), str(SIZE[1]), *BLACK)
     viewer.until(lambda: shows_scene(viewer), "the scene")
     y = SIZE[1] - BAR_HEIGHT // 2
@@ -100,6 +101,13 @@ def test_the_time_bar_seeks(open_viewer: Callable[..., Viewer], scene: Path, tmp
     viewer.until(lambda: current_frame(viewer) == 5 and "paused" in viewer.title, "the last frame")
     viewer.drag((490, y), (330, y))
     viewer.until(lambda: current_frame(viewer) == 3, "the frame in the middle")
+    viewer.key("m")
+    middle = ((SIZE[0] + PANEL_WIDTH) // 2, (SIZE[1] - BAR_HEIGHT) // 2)
+    for x in (middle[0] - 60, middle[0] + 60):
+        viewer.click(x, middle[1])
+    viewer.until(lambda: (window_image(viewer)[middle[1], middle[0] - 40 : middle[0]] == 255).all(), "a measured line")
+    viewer.key("m")
+    viewer.until(lambda: not (window_image(viewer)[middle[1]] == 255).all(axis=1).any(), "no measured line")
     viewer.click(*SCREENSHOT)
     viewer.until(lambda: (tmp_path / "ball-001.png").exists(), "a screenshot")
     viewer.click(*TRANSPARENT)
@@ -168,6 +176,7 @@ def test_the_key_v_compares_with_the_captured_picture(
     viewer.until(lambda: abs(columns(320)[1] - (half + 98)) < 5, "the line under the mouse")
     viewer.drag((half, 300), (half + 60, 300))
     viewer.until(lambda: columns(320) == (-1, -1), "no picture of another view")
+    stable_image(viewer)  # a motion of the mouse that is still to come would end the transition
     viewer.key("n")
     viewer.key("p")
     viewer.until(lambda: abs(columns(320)[1] - (half + 98)) < 5, "the picture again")

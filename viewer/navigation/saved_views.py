@@ -60,7 +60,25 @@ class StoredPose:
 
 
 class SavedViews:
-    """The last pose of each scene, stored in a file.
+    """The last pose of each scene, stored in a file."""
+
+    def __init__(self, file: Path) -> None:
+        self._store = SceneStore(file)
+
+    def load(self, scene: Path) -> Pose | None:
+        """Return the saved pose of a scene, or None if no pose is saved."""
+        try:
+            return decode_json(self._store.load(scene), StoredPose).pose()
+        except ValueError:
+            return None
+
+    def save(self, scene: Path, pose: Pose) -> None:
+        """Save the pose."""
+        self._store.save(scene, pose_to_json(pose))
+
+
+class SceneStore:
+    """JSON values for scenes, stored in a file.
 
     A file that cannot be read counts as empty. If the file cannot be written, the old one stays unchanged.
     """
@@ -68,22 +86,19 @@ class SavedViews:
     def __init__(self, file: Path) -> None:
         self._file = file
 
-    def load(self, scene: Path) -> Pose | None:
-        """Return the saved pose of a scene, or None if no pose is saved."""
-        try:
-            return decode_json(self._read().get(_key(scene)), StoredPose).pose()
-        except ValueError:
-            return None
+    def load(self, scene: Path) -> Any:
+        """Return the value of a scene, or None if there is none. The content of the file is not trusted."""
+        return self._read().get(_key(scene))
 
-    def save(self, scene: Path, pose: Pose) -> None:
-        """Save the pose. The file keeps only the poses of the 200 most recently saved scenes."""
-        views = self._read()
-        views.pop(_key(scene), None)
-        views[_key(scene)] = pose_to_json(pose)
-        while len(views) > _MAX_SCENES:
-            views.pop(next(iter(views)))
+    def save(self, scene: Path, value: Any) -> None:
+        """Store the value of a scene. The file keeps only the values of the 200 most recently saved scenes."""
+        values = self._read()
+        values.pop(_key(scene), None)
+        values[_key(scene)] = value
+        while len(values) > _MAX_SCENES:
+            values.pop(next(iter(values)))
         try:
-            write_text_atomically(self._file, json.dumps(views))
+            write_text_atomically(self._file, json.dumps(values))
         except OSError:
             return
 

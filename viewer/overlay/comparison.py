@@ -7,11 +7,11 @@ from imgui_bundle import imgui
 from fourd.viewer.comparison.comparison import ShownPicture
 from fourd.viewer.comparison.placement import area_of_picture, fitted
 from fourd.viewer.interface.layout import Area
+from fourd.viewer.overlay.label import corners, draw_label
 from fourd.viewer.state import ViewerState
 
 _GRIP_WIDTH, _KNOB_RADIUS = 24.0, 9.0
 """Width of the strip in which the mouse moves the line, and radius of the knob in its middle, at a text scale of 1."""
-_MARGIN = 10.0
 _FLAGS = (
     imgui.WindowFlags_.no_decoration
     | imgui.WindowFlags_.no_background
@@ -33,7 +33,7 @@ def draw_comparison(state: ViewerState) -> None:
         camera = state.camera_index if seen is None else seen
         _draw_beside(state, comparison.picture(camera, session.playback.frame), is_aligned=seen is not None)
     elif seen is None and not session.is_moving:
-        _draw_label(state, state.layout.free, "press N or P to compare the view of a camera")
+        draw_label(state.text_scale, state.layout.free, "press N or P to compare the view of a camera")
     elif seen is not None:
         _draw_wipe(state, comparison.picture(seen, session.playback.frame))
 
@@ -45,8 +45,8 @@ def _draw_beside(state: ViewerState, picture: ShownPicture | None, *, is_aligned
     if picture is not None:
         placed = _place(state, picture).moved(left.left - right.left) if is_aligned else fitted(picture.size, left)
         _draw_picture(picture, placed, left)
-        _draw_label(state, left, _title(state, picture))
-    _draw_label(state, right, "rendered")
+        draw_label(state.text_scale, left, _title(state, picture))
+    draw_label(state.text_scale, right, "rendered")
 
 
 def _draw_wipe(state: ViewerState, picture: ShownPicture | None) -> None:
@@ -56,8 +56,8 @@ def _draw_wipe(state: ViewerState, picture: ShownPicture | None) -> None:
     if picture is not None:
         _fill(state, left)
         _draw_picture(picture, _place(state, picture), left)
-        _draw_label(state, left, _title(state, picture))
-    _draw_label(state, right, "rendered", is_at_right=True)
+        draw_label(state.text_scale, left, _title(state, picture))
+    draw_label(state.text_scale, right, "rendered", is_at_right=True)
     _draw_line(state, free, right.left)
 
 
@@ -77,27 +77,14 @@ def _title(state: ViewerState, picture: ShownPicture) -> str:
 
 def _draw_picture(picture: ShownPicture, area: Area, room: Area) -> None:
     drawing = imgui.get_background_draw_list()
-    drawing.push_clip_rect(*_corners(room), True)
-    drawing.add_image(imgui.ImTextureRef(picture.texture), *_corners(area))
+    drawing.push_clip_rect(*corners(room), True)
+    drawing.add_image(imgui.ImTextureRef(picture.texture), *corners(area))
     drawing.pop_clip_rect()
 
 
 def _fill(state: ViewerState, area: Area) -> None:
     colour = imgui.color_convert_float4_to_u32(imgui.ImVec4(*state.session.settings.colour_behind, 1))
-    imgui.get_background_draw_list().add_rect_filled(*_corners(area), colour)
-
-
-def _draw_label(state: ViewerState, area: Area, text: str, *, is_at_right: bool = False) -> None:
-    """Draw text in an upper corner of an area, on a dark ground so that it is legible on any picture."""
-    scale, size = state.text_scale, imgui.calc_text_size(text)
-    margin, padding = _MARGIN * scale, 6 * scale
-    left = area.left + (area.width - size.x - 2 * padding - margin if is_at_right else margin)
-    box = Area(left, area.top + margin, size.x + 2 * padding, size.y + padding)
-    drawing = imgui.get_background_draw_list()
-    drawing.push_clip_rect(*_corners(area), True)
-    drawing.add_rect_filled(*_corners(box), imgui.IM_COL32(0, 0, 0, 170), padding)
-    drawing.add_text(imgui.ImVec2(box.left + padding, box.top + padding / 2), imgui.IM_COL32(255, 255, 255, 255), text)
-    drawing.pop_clip_rect()
+    imgui.get_background_draw_list().add_rect_filled(*corners(area), colour)
 
 
 def _draw_line(state: ViewerState, free: Area, x: float) -> None:
@@ -123,8 +110,3 @@ def _draw_line(state: ViewerState, free: Area, x: float) -> None:
     middle = imgui.ImVec2(x, free.centre[1])
     drawing.add_circle_filled(middle, _KNOB_RADIUS * scale, white)
     drawing.add_circle(middle, _KNOB_RADIUS * scale, black, 0, scale)
-
-
-def _corners(area: Area) -> tuple[imgui.ImVec2, imgui.ImVec2]:
-    """Return the upper left and the lower right corner of an area."""
-    return imgui.ImVec2(area.left, area.top), imgui.ImVec2(area.left + area.width, area.top + area.height)

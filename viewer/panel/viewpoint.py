@@ -32,6 +32,23 @@ def _draw(state: ViewerState) -> None:
         state.session.set_pose(pose.with_field_of_view(float(np.radians(degrees))))
     if imgui.button("Initial view"):
         state.move_to_initial_view()
+    imgui.same_line()
+    if imgui.button("Bookmark"):
+        state.add_bookmark()
+    _draw_bookmarks(state)
+
+
+def _draw_bookmarks(state: ViewerState) -> None:
+    """Draw a line for each kept view, with a button that forgets it."""
+    fps, removed = state.session.playback.fps, None
+    for index, view in enumerate(state.bookmarks.kept):
+        if imgui.button(f"{index + 1}:  {view.frame / fps:.2f} s##view{index}"):
+            state.move_to_bookmark(index)
+        imgui.same_line()
+        if imgui.small_button(f"Remove##view{index}"):
+            removed = index
+    if removed is not None:
+        state.bookmarks.remove(removed)
 
 
 def _draw_cameras(state: ViewerState, names: Sequence[str]) -> None:

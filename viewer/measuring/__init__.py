@@ -1,0 +1,1 @@
+"""Measures distances between points of a scene."""
