@@ -36,6 +36,8 @@ class Session:
         style_name: name of the preset, or path of the style file, that the user chose last; None for the captured
             colours. The style in ``settings`` can differ from the chosen style, because the user can edit it.
         style_file: path of the style file that the user chose last, or None.
+        opening_work: what is being done to open a scene, and the share that is done; an empty text and 0 if the scene
+            reports no progress.
         is_free: whether the user has moved the view away from the camera that was chosen last.
     """
 
@@ -56,6 +58,7 @@ class Session:
         self.error: Exception | None = None
         self.is_waiting = False
         self.is_free = False
+        self.opening_work: tuple[str, float] = ("", 0.0)
         self._opener: threading.Thread | None = None
         self._opening: Path | None = None
         self._opened: LoadedScene | Exception | None = None
@@ -84,7 +87,7 @@ class Session:
         """Start to open a scene or a run. The call is ignored while another scene is being opened."""
         if self._opener is not None:
             return
-        self._opened, self._opening = None, path
+        self._opened, self._opening, self.opening_work = None, path, ("", 0.0)
         self._opener = threading.Thread(target=self._open, args=(path,), name="opener", daemon=True)
         self._opener.start()
 
@@ -289,8 +292,11 @@ class Session:
                 "the normals of each frame are estimated when the frame is first drawn"
             )
 
+    def _report(self, work: str, share: float) -> None:
+        self.opening_work = work, share
+
     def _open(self, path: Path) -> None:
         try:
-            self._opened = LoadedScene(path, open_frame_source(path))
+            self._opened = LoadedScene(path, open_frame_source(path, self._report))
         except Exception as error:  # take_opened() reports this error in the thread of the window
             self._opened = error

@@ -183,14 +183,19 @@ def test_a_run_shows_its_newest_checkpoint(ball_capture: Path, tmp_path: Path, m
 
 
 def test_a_run_s_frames_equal_those_of_its_export(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a live view of a run whose cameras, colours or shading differ from the exported scene."""
+    """Catches a live view of a run whose cameras, colours or shading differ from the exported scene. Also catches
+    a bar that goes backwards while the run is opened."""
     from fourd.reconstruction.training.run import load_run
     from fourd.scene.bake import bake_run
     from tests.training.small import quiet
 
     run = trained_run(ball_capture, tmp_path / "run")
     bake_run(load_run(run.folder), tmp_path / "scene.4dv", quiet())
-    live, exported = RunSource(run.folder), open_frame_source(tmp_path / "scene.4dv")
+    reported: list[tuple[str, float]] = []
+    live = RunSource(run.folder, lambda work, share: reported.append((work, share)))
+    exported = open_frame_source(tmp_path / "scene.4dv")
+    assert [work for work, _ in reported] == ["loading torch", "reading the checkpoint", "reading the cameras"]
+    assert sorted(share for _, share in reported) == [share for _, share in reported]
     assert live.manifest.names == exported.manifest.names
     assert live.manifest.layers == exported.manifest.layers
     one, other = live.read(1), exported.read(1)
@@ -219,7 +224,7 @@ def test_invalid_values_of_a_failed_training_raise(
 def test_a_run_without_torch_sets_a_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a bare "No module named" in the window when a run's folder is dropped on it."""
 
-    def raise_missing(folder: Path) -> RunSource:
+    def raise_missing(*_: object) -> RunSource:
         raise ModuleNotFoundError("No module named 'torch'", name="torch")
 
     monkeypatch.setattr("fourd.viewer.playback.sources.RunSource", raise_missing)

@@ -26,9 +26,12 @@ def draw_notices(state: ViewerState, now: float) -> None:
     """
     session = state.session
     if session.opening is not None:
-        _draw_loading(state, f"Opening {session.opening.name}")
+        work, share = session.opening_work
+        label = f"Opening {session.opening.name}" + (f": {work}" if work else "")
+        _draw_loading(state, label, share)
     elif session.is_waiting:
-        _draw_loading(state, f"Reading frame {session.playback.frame + 1}")
+        is_run = session.scene is not None and session.scene.checkpoint
+        _draw_loading(state, f"{'Computing' if is_run else 'Reading'} frame {session.playback.frame + 1}")
     strength = state.notice.strength(session.message, now)
     if strength <= 0:
         session.message = ""
@@ -36,14 +39,15 @@ def draw_notices(state: ViewerState, now: float) -> None:
         _draw_message(state, now, strength)
 
 
-def _draw_loading(state: ViewerState, label: str) -> None:
+def _draw_loading(state: ViewerState, label: str, share: float = 0.0) -> None:
+    """Draw a bar that shows the share of the work that is done, or moves to and fro if the share is 0."""
     free, scale = state.layout.free, state.text_scale
     imgui.set_next_window_pos(imgui.ImVec2(*free.centre), imgui.Cond_.always, imgui.ImVec2(0.5, 0.5))
     imgui.begin("##loading", None, _FLAGS | imgui.WindowFlags_.no_inputs)
     imgui.text(label)
     width = min(_LOADING_WIDTH * scale, max(free.width - 4 * MARGIN * scale, 40))
-    # A negative share draws a bar that moves to and fro: how long reading takes is not known.
-    imgui.progress_bar(-imgui.get_time(), imgui.ImVec2(width, 6 * scale), "")
+    # imgui draws a bar that moves to and fro for a negative share.
+    imgui.progress_bar(share or -imgui.get_time(), imgui.ImVec2(width, 6 * scale), "")
     imgui.end()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,13 @@ from fourd.viewer.playback.prefetch import BakedFrameSource
 if TYPE_CHECKING:
     from fourd.reconstruction.training.run import TrainedRun
 
+Report = Callable[[str, float], None]
+"""Told what is being done while a scene is opened, and the share of the work that is done, from 0 to 1."""
 _NICENESS = 10
+
+
+def unreported(work: str, share: float) -> None:
+    """Report nothing."""
 
 
 class RunSource:
@@ -27,7 +34,9 @@ class RunSource:
     Raises UserError when the folder is not a run, has no readable checkpoint, or cannot be baked.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, report: Report = unreported) -> None:
+        # The shares are those of a small run: loading torch takes as long as the rest.
+        report("loading torch", 0.1)
         from fourd.scene.bake import make_manifest, require_bakeable
 
         _lower_priority()
@@ -35,7 +44,9 @@ class RunSource:
         self._trained: TrainedRun | None = None
         self._background: BakedFrame | None = None
         self._background_step = -1  # training step of the checkpoint from which the background is baked
+        report("reading the checkpoint", 0.5)
         trained = self._load_newest()
+        report("reading the cameras", 0.9)
         require_bakeable(trained.run)
         self.manifest: SceneManifest = make_manifest(trained)
 
@@ -85,9 +96,9 @@ class RunSource:
         return self._trained
 
 
-def _open_run(folder: Path) -> RunSource:
+def _open_run(folder: Path, report: Report) -> RunSource:
     try:
-        return RunSource(folder)
+        return RunSource(folder, report)
     except ModuleNotFoundError as error:
         package = (error.name or "").split(".")[0]
         if package == "fourd":
@@ -103,12 +114,14 @@ def _lower_priority() -> None:
         os.nice(_NICENESS - os.nice(0))
 
 
-def open_frame_source(path: Location) -> BakedFrameSource:
+def open_frame_source(path: Location, report: Report = unreported) -> BakedFrameSource:
     """Open a `.4dv` file or its URL, a run's folder, a file of Gaussian splats or a folder of such files.
+
+    ``report`` is told the progress of a run, which takes seconds.
 
     Raises UserError, which names the file and the fix, if the scene or run cannot be opened.
     """
-    source: BakedFrameSource = SceneReader(path) if isinstance(path, StorageUrl) else _open_local(path)
+    source: BakedFrameSource = SceneReader(path) if isinstance(path, StorageUrl) else _open_local(path, report)
     manifest = source.manifest
     if manifest.frame_count == 0:
         source.close()
@@ -119,7 +132,7 @@ def open_frame_source(path: Location) -> BakedFrameSource:
     return source
 
 
-def _open_local(path: Path) -> BakedFrameSource:
+def _open_local(path: Path, report: Report) -> BakedFrameSource:
     if not path.exists():
         raise UserError(f"{path}: expected a .4dv file or a run's folder, got nothing there; check the path")
     if is_mesh(path) and not is_splats(path):
@@ -129,4 +142,4 @@ def _open_local(path: Path) -> BakedFrameSource:
             f"{command_line('fourd', 'render', path, '--path', 'orbit')}"
         )
     is_run = path.is_dir() and not is_splats(path)
-    return _open_run(path) if is_run else open_reader(path)
+    return _open_run(path, report) if is_run else open_reader(path)
