@@ -123,6 +123,7 @@ class Session:
         self.playback = Playback(manifest.frame_count, manifest.fps, is_playing=not scene.checkpoint)
         if not self._has_user_layers:
             self.settings = replace(self.settings, layers=manifest.layers)
+        self.settings = replace(self.settings, crop=None)
         self._transition, self._scaled, self._last_frame = None, None, None
         self.message = ""
         self._announce_estimates()
@@ -274,10 +275,10 @@ class Session:
 
         While the frame and the scales do not change, each call returns the same object.
         """
-        scales = (self.settings.point_scale, self.settings.density_scale)
+        scales = (self.settings.point_scale, self.settings.density_scale, self.settings.crop)
         if self._scaled is not None:
             source, settings, scaled = self._scaled
-            if source is frame and (settings.point_scale, settings.density_scale) == scales:
+            if source is frame and (settings.point_scale, settings.density_scale, settings.crop) == scales:
                 return scaled
         result = self.settings.scale_points(frame)
         self._scaled = (frame, self.settings, result)

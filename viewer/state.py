@@ -55,6 +55,7 @@ class ViewerState:
         notice: tells how strongly the session's message is visible.
         preferences: what the viewer remembers from one start to the next.
         is_help_open: whether the help is visible.
+        is_box_shown: whether the edges of the crop box are drawn, because the section Crop is open.
         camera_index: index of the capture camera that was selected last.
         bookmarks: the views of the scene that the user has kept.
         has_alpha: whether screenshots have an alpha channel instead of a background.
@@ -73,6 +74,7 @@ class ViewerState:
         self.recorded_path: RecordedPath | None = None
         self.notice = NoticeClock()
         self.is_help_open = False
+        self.is_box_shown = False
         self.camera_index = 0
         self.has_alpha = False
         self.typed_path = ""

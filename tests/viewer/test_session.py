@@ -11,7 +11,7 @@ import pytest
 
 from fourd.base.errors import UserError
 from fourd.scene import SceneReader
-from fourd.viewer.display import DisplaySettings
+from fourd.viewer.display import CropBox, DisplaySettings
 from fourd.viewer.playback.sources import RunSource, open_frame_source
 from fourd.viewer.rendering.offscreen import OffscreenRenderer
 from fourd.viewer.session import TRANSITION_SECONDS, LoadedScene, Session
@@ -124,6 +124,29 @@ def test_unchanged_requests_reuse_their_objects(scene: Path) -> None:
     assert moved is not None
     assert moved.camera is not one.camera
     assert moved.frame is one.frame
+    session.close()
+
+
+def test_points_outside_the_crop_box_are_hidden(scene: Path) -> None:
+    """Catches a box that hides other points, an empty box that stops the viewer, and one that the next scene keeps."""
+    session = Session(DisplaySettings())
+    open_scene(session, scene)
+    whole = session.render_request(SIZE, wait=True)
+    assert whole is not None
+    session.settings = replace(session.settings, crop=CropBox((-9.0, -9.0, 0.1), (9.0, 9.0, 9.0)))
+    cropped = session.render_request(SIZE, wait=True)
+    assert cropped is not None
+    inside = whole.frame.xyz[:, 2] >= np.float32(0.1)
+    assert np.array_equal(cropped.frame.xyz, whole.frame.xyz[inside])
+    assert np.array_equal(cropped.frame.rgb, whole.frame.rgb[inside])
+    session.settings = replace(session.settings, crop=CropBox((8.0, 8.0, 8.0), (9.0, 9.0, 9.0)))
+    nothing = session.render_request(SIZE, wait=True)
+    assert nothing is not None
+    with OffscreenRenderer("cpu") as offscreen:
+        assert offscreen.render(whole).any()
+        assert not offscreen.render(nothing).any()
+    open_scene(session, scene)
+    assert session.settings.crop is None
     session.close()
 
 

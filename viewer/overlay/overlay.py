@@ -6,6 +6,7 @@ import time
 
 from fourd.viewer.interface.theme import apply_theme
 from fourd.viewer.overlay.comparison import draw_comparison
+from fourd.viewer.overlay.crop import draw_crop_box
 from fourd.viewer.overlay.help import draw_help
 from fourd.viewer.overlay.measurement import draw_measurement
 from fourd.viewer.overlay.notices import draw_notices
@@ -16,12 +17,12 @@ from fourd.viewer.state import ViewerState
 
 
 def draw_overlay(state: ViewerState) -> None:
-    """Draw the captured picture, the measured distance, the panel, the time bar or the start screen, the help and the
-    notices."""
+    """Draw what lies over the picture, the panel, the time bar or the start screen, the help and the notices."""
     apply_theme(state.preferences.theme, state.text_scale)
     if state.session.scene is not None:
         draw_comparison(state)
         draw_measurement(state)
+        draw_crop_box(state)
         draw_time_bar(state)
     elif state.session.opening is None:
         draw_start_screen(state)

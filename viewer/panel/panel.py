@@ -5,6 +5,7 @@ from __future__ import annotations
 from imgui_bundle import imgui
 
 from fourd.viewer.panel.comparison import COMPARISON
+from fourd.viewer.panel.crop import CROP
 from fourd.viewer.panel.display import DISPLAY
 from fourd.viewer.panel.output import OUTPUT
 from fourd.viewer.panel.renderer import RENDERER
@@ -14,7 +15,7 @@ from fourd.viewer.panel.style import STYLE
 from fourd.viewer.panel.viewpoint import VIEWPOINT
 from fourd.viewer.state import ViewerState
 
-SECTIONS: tuple[Section, ...] = (SCENE, VIEWPOINT, STYLE, OUTPUT, COMPARISON, DISPLAY, RENDERER)
+SECTIONS: tuple[Section, ...] = (SCENE, VIEWPOINT, STYLE, OUTPUT, COMPARISON, CROP, DISPLAY, RENDERER)
 """The sections of the panel, from top to bottom."""
 
 _LABEL_WIDTH = 96.0
