@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from fourd.reconstruction.training.run import TrainedRun
 
 Report = Callable[[str, float], None]
-"""Told what is being done while a scene is opened, and the share of the work that is done, from 0 to 1."""
+"""Called with what is being done while a scene is opened, and the share of the work that is done, from 0 to 1."""
 _NICENESS = 10
 
 
@@ -117,7 +117,7 @@ def _lower_priority() -> None:
 def open_frame_source(path: Location, report: Report = unreported) -> BakedFrameSource:
     """Open a `.4dv` file or its URL, a run's folder, a file of Gaussian splats or a folder of such files.
 
-    ``report`` is told the progress of a run, which takes seconds.
+    ``report`` is called with the progress of a run, which takes seconds.
 
     Raises UserError, which names the file and the fix, if the scene or run cannot be opened.
     """
