@@ -10,6 +10,7 @@ from rich.console import Console
 
 from fourd.base.errors import UserError
 from fourd.scene.styles.tables import ShadeMapError
+from fourd.viewer.comparison.placement import compared_area
 from fourd.viewer.controls import handle_navigation
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.interface.theme import PALETTES
@@ -52,11 +53,13 @@ def run_viewer(
     console: Console,
     style_name: str | None = None,
     capture: Path | None = None,
+    beside: Path | None = None,
 ) -> None:
     """Open a window that shows ``source``, and run the viewer until the user closes the window.
 
     ``style_name`` is the name of the preset, or the path of the style file, from which the style in ``settings`` was
     loaded. ``capture`` is the folder with the captured pictures, or None to look for it.
+    ``beside`` is another scene to compare the first one with, or None.
 
     Raises UserError when the source cannot be opened, when there is no display, or when OpenGL is not available.
     """
@@ -66,7 +69,7 @@ def run_viewer(
             session.open(source)
             session.wait_opened(_PATIENCE_SECONDS)
         with Window(size, "fourd") as window:
-            state = ViewerState(window, session, WindowRenderer(window, requested), capture)
+            state = ViewerState(window, session, WindowRenderer(window, requested), capture, beside)
             choice = state.renderer.choice
             console.print(f"renderer: {choice.name} ({choice.reason})", soft_wrap=True)
             try:
@@ -125,6 +128,7 @@ class App:
         is_drawn = request is not None and (state.renderer.needs_draw(request) or self._is_settling)
         if request is not None and is_drawn:
             self._draw(request)
+        self._draw_other()
         with state.timings.measure("panel"):
             state.renderer.present(shows_image=request is not None, empty=PALETTES[state.preferences.theme].start)
             window.begin_ui()
@@ -146,6 +150,13 @@ class App:
         if state.run_deferred():
             self._images_left = _IMAGES_AFTER_INPUT
         window.set_title(self._title())
+
+    def _draw_other(self) -> None:
+        """Draw the other scene, if one is compared."""
+        state, other = self._state, self._state.comparison.other
+        if other is not None and state.comparison.is_on:
+            shift = state.shift_to(compared_area(state.layout.free, state.comparison.mode))
+            other.follow(state.session, state.window.framebuffer_size, shift, state.renderer.choice.name)
 
     def _draw(self, request: RenderRequest) -> None:
         """Draw the scene. If the renderer fails, switch to the cpu renderer.
@@ -174,7 +185,7 @@ class App:
             return 0.0 if self._was_active else _IDLE_SECONDS
         if session.opening is not None or session.is_waiting:
             return _LOADING_SECONDS
-        if state.comparison.is_reading:
+        if state.comparison.needs_image:
             return _READING_SECONDS
         is_moving = session.is_moving or state.recorder is not None
         if is_moving or state.renderer.is_stale or self._is_settling or self._images_left > 0:
@@ -189,7 +200,7 @@ class App:
         is_active = (
             session.opening is not None or session.is_waiting or session.is_moving or session.playback.is_playing
         )
-        is_active |= state.comparison.is_reading
+        is_active |= state.comparison.needs_image
         is_changing = state.recorder is not None or state.renderer.is_stale or self._is_settling or self._is_fading
         is_changing |= state.is_panel_open and state.timings.images_per_second(time.monotonic()) > 0
         return not (is_active or is_changing or self._images_left > 0)

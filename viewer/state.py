@@ -62,13 +62,20 @@ class ViewerState:
         typed_path: what the user has typed as the path of a scene to open.
     """
 
-    def __init__(self, window: Window, session: Session, renderer: WindowRenderer, capture: Path | None = None) -> None:
-        """``capture`` is the folder with the captured pictures of the first scene, or None to look for it."""
+    def __init__(
+        self,
+        window: Window,
+        session: Session,
+        renderer: WindowRenderer,
+        capture: Path | None = None,
+        beside: Path | None = None,
+    ) -> None:
+        """The first scene is compared with the pictures in the folder ``capture``, or with the scene ``beside``."""
         self.window = window
         self.session = session
         self.renderer = renderer
         self.timings = Timings()
-        self.comparison = Comparison(renderer.context, capture)
+        self.comparison = Comparison(renderer.context, capture, beside)
         self.measurement = Measurement()
         self.recorder: PathRecorder | None = None
         self.recorded_path: RecordedPath | None = None
@@ -85,7 +92,6 @@ class ViewerState:
         self._wants_panel = has_room_for_panel(window.size[0], self.text_scale)
         self._dialog: FileDialog | None = None
         self._deferred: list[Callable[[], None]] = []
-        self._has_opened = False
 
     @property
     def text_scale(self) -> float:
@@ -115,8 +121,12 @@ class ViewerState:
     @property
     def picture_shift(self) -> tuple[float, float]:
         """Distance (right, down) in whole pixels from the middle of the window to the middle of the free area."""
-        free, (width, height) = self.rendered_area.scaled(self.pixels_per_unit), self.window.framebuffer_size
-        x, y = free.centre
+        return self.shift_to(self.rendered_area)
+
+    def shift_to(self, area: Area) -> tuple[float, float]:
+        """Distance (right, down) in whole pixels from the middle of the window to the middle of ``area``."""
+        width, height = self.window.framebuffer_size
+        x, y = area.scaled(self.pixels_per_unit).centre
         return float(round(x - width / 2)), float(round(y - height / 2))
 
     @property
@@ -155,8 +165,7 @@ class ViewerState:
         """Show ``scene`` instead of the open scene, from its saved view or, if it has none, its initial view."""
         self.save_view()
         saved, size = self._saved_views.load(scene.path), self.window.framebuffer_size
-        # The folder that was given at the start belongs to the first scene.
-        self.comparison.set_folder(None if self._has_opened else self.comparison.folder)
+        self.comparison.start()
         self.session.show(scene, saved or scene.initial_pose(size))
         if saved is None:
             # The room for the picture depends on the panel and the bar, which are there from now on.
@@ -167,7 +176,6 @@ class ViewerState:
         self.set_preferences(self.preferences.with_recent(scene.path))
         self.renderer.reset()
         self.recorded_path = self.recorder = None
-        self._has_opened = True
 
     def open(self, path: Path) -> None:
         """Open what the user has dropped on the window: a style file, a shade map, a scene, a run, or the capture of
@@ -263,7 +271,8 @@ class ViewerState:
         if scene is None or pose is None:
             return
         self.session.message = self.comparison.choose(mode, scene)
-        if self.session.message or (self.session.is_free and mode == "off"):
+        is_left = self.session.is_free and mode == "off"
+        if self.session.message or is_left or self.comparison.other is not None:
             return
         if self.session.is_free:
             camera, cameras = pose.camera(*self.window.framebuffer_size), scene.manifest.cameras
@@ -274,7 +283,7 @@ class ViewerState:
     def compared_camera(self) -> int | None:
         """Index of the camera whose view is shown and compared with its captured picture, or None."""
         scene, pose = self.session.scene, self.session.pose
-        if not self.comparison.is_on or scene is None or pose is None:
+        if not self.comparison.is_on or self.comparison.other is not None or scene is None or pose is None:
             return None
         shown = pose.camera(*self.window.framebuffer_size)
         return find_view(scene.manifest.cameras, shown, pose.distance, self.camera_index)

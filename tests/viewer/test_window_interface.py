@@ -183,3 +183,37 @@ def test_the_key_v_compares_with_the_captured_picture(
     viewer.key("v")
     viewer.until(lambda: columns(320) == (-1, -1), "no comparison")
     assert viewer.close() == 0, viewer.log
+
+
+def test_another_scene_is_shown_from_the_same_view(
+    open_viewer: Callable[..., Viewer], scene: Path, tmp_path: Path
+) -> None:
+    """Catches a second scene that is drawn upside down, from another view or at another frame, and one that lies beside
+    the first one where a line divides them."""
+    write_shells(tmp_path / "other.4dv", frames=5)
+    words = ("--beside", str(tmp_path / "other.4dv"), "--size", str(SMALL[0]), str(SMALL[1]), *BLACK)
+    viewer = open_viewer(str(scene), *words)
+    half, rows = SMALL[0] // 2, slice(40, SMALL[1] - BAR_HEIGHT)
+
+    def halves() -> tuple[np.ndarray, np.ndarray]:
+        picture = viewer.picture()[rows, : SMALL[0]].astype(float)
+        return picture[:, :half], picture[:, half:]
+
+    def are_equal() -> bool:
+        left, right = halves()
+        return bool(left.max() > 100 and np.abs(left - right).mean() < 0.2)
+
+    viewer.until(are_equal, "the same picture in both halves")
+    pause_at(viewer, "End", 5)
+    viewer.drag((420, 200), (470, 230))
+    stable_image(viewer)
+    viewer.until(are_equal, "the same view and frame in both halves")
+    viewer.key("v")
+    viewer.until(lambda: np.median(halves()[0][:, -1]) > 100, "the line")
+    divided = stable_image(viewer)
+    viewer.key("v")
+    viewer.until(lambda: np.median(halves()[0][:, -1]) < 100, "no line")
+    whole = stable_image(viewer)
+    beside = np.r_[0 : half - 15, half + 15 : SMALL[0]]  # without the line and its knob
+    assert np.abs(divided[rows, beside].astype(float) - whole[rows, beside]).mean() < 0.2
+    assert viewer.close() == 0, viewer.log

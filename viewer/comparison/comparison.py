@@ -9,6 +9,7 @@ from typing import Literal
 import moderngl
 
 from fourd.viewer.comparison.captured import CapturedPicture, CapturedPictures, find_capture
+from fourd.viewer.comparison.other_scene import OtherScene
 from fourd.viewer.loaded_scene import LoadedScene
 
 Mode = Literal["off", "side by side", "wipe"]
@@ -31,18 +32,23 @@ class ShownPicture:
 
 
 class Comparison:
-    """Shows the captured picture of a camera beside the scene, or on the left of a line that the user moves.
+    """Shows the captured picture of a camera, or another scene, beside the scene or on the left of a line that the user
+    moves.
 
     Attributes:
         mode: how the captured picture is shown.
         share: position of the line, from 0 at the left edge of the free area to 1 at its right edge.
         folder: the folder of the capture, which the user may have chosen; None until it is chosen or found.
+        other: the other scene, or None while captured pictures are compared.
     """
 
-    def __init__(self, context: moderngl.Context, folder: Path | None = None) -> None:
+    def __init__(self, context: moderngl.Context, folder: Path | None = None, other: Path | None = None) -> None:
+        """``folder`` and ``other`` are the capture and the other scene to compare the first scene with, or None."""
         self.mode: Mode = "off"
         self.share = 0.5
-        self.folder = folder
+        self.folder: Path | None = None
+        self.other: OtherScene | None = None
+        self._given: tuple[Path | None, Path | None] = folder, other
         self._context = context
         self._pictures: CapturedPictures | None = None
         self._texture: moderngl.Texture | None = None
@@ -55,13 +61,30 @@ class Comparison:
 
     @property
     def is_reading(self) -> bool:
-        """Whether a captured picture is being read. Playback waits for it, because frames of different times cannot be
-        compared."""
-        return self.is_on and self._pictures is not None and self._pictures.is_reading
+        """Whether a captured picture or a frame of the other scene is being read. Playback waits for it, because frames
+        of different times cannot be compared."""
+        if not self.is_on:
+            return False
+        if self.other is not None:
+            return self.other.is_busy
+        return self._pictures is not None and self._pictures.is_reading
+
+    @property
+    def needs_image(self) -> bool:
+        """Whether the next image may differ, although the user does nothing."""
+        return self.is_reading or (self.is_on and self.other is not None and self.other.is_stale)
+
+    def start(self) -> None:
+        """Forget the scene that was compared, because another one is shown. The capture and the other scene that were
+        given belong to the first scene."""
+        (folder, other), self._given = self._given, (None, None)
+        self.set_folder(folder)
+        if other is not None:
+            self.set_other(other)
 
     def choose(self, mode: Mode, scene: LoadedScene) -> str:
         """Set the mode. Returns the reason why there is nothing to compare with, or an empty string."""
-        if mode == "off":
+        if mode == "off" or self.other is not None:
             self.mode = mode
             return ""
         if not scene.manifest.cameras:
@@ -88,7 +111,12 @@ class Comparison:
         return ShownPicture(camera, self._texture.size, self._texture.glo)
 
     def take_error(self) -> str:
-        """Return the reason why the picture cannot be read, once."""
+        """Return the reason why the picture or the other scene cannot be read, once."""
+        if self.other is not None:
+            error = self.other.take_error()
+            if error and self.other.has_failed:
+                self.release()
+            return error
         return "" if self._pictures is None else self._pictures.take_error()
 
     def set_folder(self, folder: Path | None) -> None:
@@ -96,9 +124,18 @@ class Comparison:
         self.release()
         self.folder = folder
 
+    def set_other(self, path: Path) -> None:
+        """Compare with the scene in ``path`` from now on, side by side at first."""
+        self.release()
+        self.other = OtherScene(self._context, path)
+        self.mode = "side by side"
+
     def release(self) -> None:
-        """Switch the comparison off, stop reading and free the texture."""
+        """Switch the comparison off, stop reading, and free the texture and the other scene."""
         self.mode = "off"
+        if self.other is not None:
+            self.other.release()
+            self.other = None
         if self._pictures is not None:
             self._pictures.close()
         if self._texture is not None:

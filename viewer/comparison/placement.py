@@ -37,6 +37,12 @@ def find_view(cameras: Sequence[Camera], shown: Camera, distance: float, preferr
     return next((index for index in order if same_view(cameras[index], shown, distance)), None)
 
 
+def compared_area(free: Area, mode: str) -> Area:
+    """Return the area in whose middle the picture of the other scene is: the left half of the free area side by side,
+    or the whole free area on the left of a line."""
+    return free.split(0.5)[0] if mode == "side by side" else free
+
+
 def fitted(size: tuple[int, int], room: Area) -> Area:
     """Return the largest area with the proportions of ``size`` in the middle of ``room``."""
     zoom = min(room.width / size[0], room.height / size[1])

@@ -1,10 +1,11 @@
-"""Draws the captured picture under the user interface: beside the scene, or on the left of a line."""
+"""Draws the captured picture or another scene under the user interface: beside the scene, or on the left of a line."""
 
 from __future__ import annotations
 
 from imgui_bundle import imgui
 
 from fourd.viewer.comparison.comparison import ShownPicture
+from fourd.viewer.comparison.other_scene import OtherScene
 from fourd.viewer.comparison.placement import area_of_picture, fitted
 from fourd.viewer.interface.layout import Area
 from fourd.viewer.overlay.label import corners, draw_label
@@ -28,6 +29,11 @@ def draw_comparison(state: ViewerState) -> None:
     if not comparison.is_on or session.scene is None:
         return
     session.message = comparison.take_error() or session.message
+    if not comparison.is_on:  # the other scene could not be opened
+        return
+    if comparison.other is not None:
+        _draw_other(state, comparison.other)
+        return
     seen = state.compared_camera
     if comparison.mode == "side by side":
         camera = state.camera_index if seen is None else seen
@@ -59,6 +65,25 @@ def _draw_wipe(state: ViewerState, picture: ShownPicture | None) -> None:
         draw_label(state.text_scale, left, _title(state, picture))
     draw_label(state.text_scale, right, "rendered", is_at_right=True)
     _draw_line(state, free, right.left)
+
+
+def _draw_other(state: ViewerState, other: OtherScene) -> None:
+    """Draw the other scene in the left half of the free area, or on the left of the line."""
+    free, is_beside = state.layout.free, state.comparison.mode == "side by side"
+    left, right = free.split(0.5 if is_beside else state.comparison.share)
+    _fill(state, left)
+    drawing, texture = imgui.get_background_draw_list(), other.texture
+    if texture is not None:
+        window = Area(0, 0, *state.window.size)
+        drawing.push_clip_rect(*corners(left), True)
+        # Row 0 of the texture is at the bottom.
+        drawing.add_image(imgui.ImTextureRef(texture), *corners(window), imgui.ImVec2(0, 1), imgui.ImVec2(1, 0))
+        drawing.pop_clip_rect()
+    scene = state.session.scene
+    draw_label(state.text_scale, left, other.path.name)
+    draw_label(state.text_scale, right, "" if scene is None else scene.path.name, is_at_right=not is_beside)
+    if not is_beside:
+        _draw_line(state, free, right.left)
 
 
 def _place(state: ViewerState, picture: ShownPicture) -> Area:

@@ -54,6 +54,8 @@ class Arguments:
         Path | None, READS, option("FOLDER", "the run's, or that of the work folder beside the scene")
     ] = None
     """Capture whose pictures the window compares with the scene (key V)."""
+    beside: Annotated[Path | None, READS, option("SCENE|RUN", "none")] = None
+    """Another scene, which the window shows beside the scene, from the same view and in step with it."""
     headless: Annotated[Path | None, WRITES, option("FILE.{mp4,webm,gif}", "none")] = None
     """Render a video to this .mp4 (H.264), .webm (VP9) or .gif file, without opening a window."""
     path: Annotated[str, tyro.conf.arg(metavar="{orbit,spiral,cameras,FILE.json}")] = "orbit"
@@ -102,7 +104,9 @@ def _view(arguments: Arguments, source: Path | None, settings: DisplaySettings, 
         from fourd.viewer.app import run_viewer
 
         size = arguments.size or (1280, 720)
-        run_viewer(source, arguments.renderer, size, settings, console, arguments.style, arguments.capture)
+        run_viewer(
+            source, arguments.renderer, size, settings, console, arguments.style, arguments.capture, arguments.beside
+        )
         return
     from fourd.viewer.headless import Headless
     from fourd.viewer.output.video import require_video

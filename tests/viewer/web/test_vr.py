@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fourd.base.cameras import Camera
 from fourd.scene import SceneReader
 from fourd.scene.player import Player
+from fourd.viewer.display import DEFAULT_BACKGROUND
 from fourd.viewer.publish.site import SCENE_NAME
 from tests.viewer.web.conftest import serving
 from tests.viewer.web.npm import installed
@@ -125,7 +126,7 @@ def test_both_eyes_show_the_image_of_the_cpu(
     for eye in eyes:
         pixels = np.frombuffer(base64.b64decode(eye["pixels"]), np.uint8).reshape(eye["size"][1], eye["size"][0], 4)
         got.append(pixels[::-1, :, :3])
-        expected.append(Player().draw(frame, eye_camera(eye, pose), manifest)[..., :3])
+        expected.append(Player().draw(frame, eye_camera(eye, pose), manifest, background=DEFAULT_BACKGROUND)[..., :3])
     for own, other in ((0, 1), (1, 0)):
         assert expected[own].std() > 15
         # Both eyes share the source views and the weights of the head. The weights of the head differ slightly from the
