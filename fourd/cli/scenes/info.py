@@ -178,7 +178,7 @@ def _scene(path: Location) -> Rows:
     background_bytes = manifest.background_nbytes if manifest.encoding is None else 0
     return [
         ("format", f"version {manifest.version}, {packed}made by {manifest.producer}"),
-        ("kind", "the object on black" if manifest.kind == "object" else "object and background"),
+        ("kind", "the object alone" if manifest.kind == "object" else "object and background"),
         ("frames", f"{frames} at {format_rate(manifest.fps)} per second, {seconds:.2f} s; {numbers}"),
         *([] if manifest.is_fps_known else [("frame rate", "assumed: the scene does not state the recording's rate")]),
         ("points", f"{span_text(points)} per frame, {sum(points):,} in total"),
