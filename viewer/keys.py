@@ -170,7 +170,7 @@ SHORTCUTS = (
         tuple((getattr(_Key, f"_{number}"), _go_to_bookmark(number - 1)) for number in range(1, MAX_BOOKMARKS + 1)),
     ),
     Shortcut("T", "next style", ((_Key.t, _next_style),)),
-    Shortcut("V", "compare with the captured picture", ((_Key.v, _next_comparison),)),
+    Shortcut("V", "compare with the capture", ((_Key.v, _next_comparison),)),
     Shortcut("M", "measure a distance", ((_Key.m, lambda state: state.measurement.toggle()),)),
     Shortcut("R", "next renderer", ((_Key.r, _next_renderer),)),
     Shortcut(

@@ -16,7 +16,7 @@ _LEFT = 0
 _MOST_DRAG = 4.0
 """A press that moves the mouse farther than this, in window coordinates, orbits and chooses no place."""
 _KNOB_RADIUS = 5.0
-_HINT = "click on two points to measure in world units: metres, if the calibration is in metres"
+_HINT = "click on two points to measure"
 
 
 def draw_measurement(state: ViewerState) -> None:
