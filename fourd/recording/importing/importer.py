@@ -46,6 +46,7 @@ from fourd.recording.importing.time_offsets import (
     describe_offsets,
     estimate_if_possible,
     estimate_offsets_of,
+    estimate_with_cameras,
 )
 from fourd.recording.importing.writer import ImportSettings, check_import, write_capture
 
@@ -166,7 +167,9 @@ def import_source(
         estimate = _correct_estimate(estimate, imported, source_format, options, log)
         offsets = applied_offsets(estimate, options.offsets, options.applies_estimate)
     check_unpacked(out, started, files, offsets, options.reduce)
-    record = replace(record, files=files, offsets=offsets, unpacked=started.unpacked or options.unpack)
+    unsure = {} if estimate is None else estimate.candidates()
+    unsure = {name: frames for name, frames in unsure.items() if name not in offsets}
+    record = replace(record, files=files, offsets=offsets, unsure=unsure, unpacked=started.unpacked or options.unpack)
     write_record(out, record)
     notes = _write(imported, indices, out, options, offsets, track, with_calibration=True)
     for line in (*notes, *_describe_mattes(out, warnings)):
@@ -183,13 +186,14 @@ def _warn_all(lines: Sequence[str], warn: Log) -> None:
 def _correct_estimate(
     estimate: Estimate, imported: Imported, source_format: Format, options: ImportOptions, log: Log
 ) -> Estimate:
-    """If the offsets were estimated from sound, correct them by the time that sound takes to reach each calibrated
-    camera, and log the offsets."""
+    """Improve the estimated offsets with the calibrated cameras, and log them. Offsets from sound are corrected by the
+    time that the sound takes to reach each camera; offsets from motion are estimated again in epipolar planes."""
     is_metric = source_format.is_metric or options.distance is not None or options.board is not None
     if options.calibration is not None:
         is_metric |= is_metric_calibration(Path(options.calibration))
     corrected = correct_sound_travel(estimate, imported.cameras, options.sound_at, is_metric, log)
-    for line in describe_offsets(corrected, options.applies_estimate) if corrected.method == "sound" else ():
+    corrected = estimate_with_cameras(corrected, imported.cameras, log)
+    for line in describe_offsets(corrected, options.applies_estimate):
         log(line)
     return corrected
 
@@ -230,20 +234,16 @@ def _check_options(imported: Imported, source: Path, options: ImportOptions) -> 
 def _estimate(
     imported: Imported, indices: Indices, out: Path, options: ImportOptions, log: Log, track: Track
 ) -> Estimate | None:
-    """Estimate the offsets of the videos if an option requests it."""
+    """Estimate the offsets of the videos if an option requests it. They are logged later, because calibrated cameras
+    improve them."""
     if options.sync_if_possible:
         found = estimate_if_possible(imported.cameras, indices, out, log, track)
         if found is None:
             return None
-        estimate = found
-    elif options.sync or options.apply_sync:
-        estimate = estimate_offsets_of(imported.cameras, indices, out, options.sync_by, log, track)
-    else:
-        return None
-    # Offsets from sound are logged later, because correcting them for the sound's travel time needs calibrated cameras.
-    for line in describe_offsets(estimate, options.applies_estimate) if estimate.method == "motion" else ():
-        log(line)
-    return estimate
+        return found
+    if options.sync or options.apply_sync:
+        return estimate_offsets_of(imported.cameras, indices, out, options.sync_by, log, track)
+    return None
 
 
 def _with_rate(imported: Imported, source: Path, options: ImportOptions) -> Imported:

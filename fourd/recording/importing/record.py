@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -39,6 +39,7 @@ class ImportRecord:
         unpacked: whether the videos' frames were written as images; the images are aligned by ``offsets``.
         done: whether the import finished.
         warnings: warnings of the import.
+        unsure: large time offsets that were found, but were not sure enough to be applied.
     """
 
     source: str
@@ -50,6 +51,7 @@ class ImportRecord:
     unpacked: bool
     done: bool
     warnings: tuple[str, ...]
+    unsure: dict[str, Number] = field(default_factory=dict)
 
 
 def read_record(out: Path) -> ImportRecord | None:
