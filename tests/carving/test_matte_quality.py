@@ -58,6 +58,8 @@ def test_contradicting_mattes_stop_carving(tmp_path: Path) -> None:
     assert quality.kept_share < 1 / 3
     with pytest.raises(UserError, match=r"the visual hull covers at least a third, got \d+% \(.*--accept-mattes"):
         quality.require_hull(tmp_path)
+    with pytest.raises(UserError, match=r"of this matte\); camera 3 is late; otherwise, fix the mattes"):
+        quality.require_hull(tmp_path, "camera 3 is late")
     good = measure_mattes(capture(5))
     assert good is not None
     good.require_hull(tmp_path)

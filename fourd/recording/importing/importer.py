@@ -67,7 +67,8 @@ class ImportOptions:
         copy: copy files instead of linking them.
         unpack: write the frames of videos as images.
         offsets: time offsets of the videos in frames of the capture, keyed by camera name. Missing offsets are 0. In a
-            video with the offset n, each event appears n frames later than in a video with the offset 0.
+            video with the offset n, each event appears n frames later than in a video with the offset 0. They replace
+            estimated offsets.
         sync: estimate the offsets without applying them.
         apply_sync: estimate the offsets and apply those with high confidence.
         sync_if_possible: like ``apply_sync``, but videos whose offsets cannot be estimated are no error.
@@ -193,7 +194,7 @@ def _correct_estimate(
         is_metric |= is_metric_calibration(Path(options.calibration))
     corrected = correct_sound_travel(estimate, imported.cameras, options.sound_at, is_metric, log)
     corrected = estimate_with_cameras(corrected, imported.cameras, log)
-    for line in describe_offsets(corrected, options.applies_estimate):
+    for line in describe_offsets(corrected, options.offsets, options.applies_estimate):
         log(line)
     return corrected
 
@@ -204,8 +205,6 @@ def _check_options(imported: Imported, source: Path, options: ImportOptions) -> 
         raise UserError("--apply-sync: expected no --sync, got both options; choose one")
     if options.calibrate and options.calibration is not None:
         raise UserError("--calibrate: expected no --calibration, got both options; choose one")
-    if options.apply_sync and options.offsets:
-        raise UserError("--apply-sync: expected no --offset, got both options; choose one")
     if not (options.sync or options.apply_sync) and (options.sync_by, options.sound_at) != ("auto", "auto"):
         raise UserError("--sync-by, --sound-at: expected --sync or --apply-sync, got none of them; add one of them")
     check_import(imported, ImportSettings(options.copy, options.unpack, options.offsets))

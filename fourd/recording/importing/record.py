@@ -17,6 +17,7 @@ from fourd.base.files import is_unused, resolved, write_text_atomically
 from fourd.base.json_file import decode_json
 from fourd.base.limits import read_json
 from fourd.recording.capture.layout import DERIVED
+from fourd.recording.capture.video_list import NAME as VIDEO_LIST
 from fourd.recording.importing.imported import EncodedPictures, Imported, PictureFiles
 
 RECORD = DERIVED / "import.json"
@@ -77,6 +78,26 @@ def read_record(out: Path) -> ImportRecord | None:
             f"{path}: expected the record of an import, got other content ({error}); name another folder"
         ) from error
     return record
+
+
+def describe_unsure(capture: Path) -> str:
+    """Return a sentence with the offsets that the import of a capture found but did not apply, and with the option that
+    applies them. It is empty if there are none, or if the folder is not from an import.
+
+    A corrected capture has no record of its own. Its list of videos is a link to that of the imported capture.
+    """
+    folder = (capture / VIDEO_LIST).resolve().parent
+    if not (folder / RECORD).is_file():
+        return ""
+    record = read_record(folder)
+    if record is None or not record.unsure:
+        return ""
+    found = ", ".join(f"{name} {frames:+g}" for name, frames in record.unsure.items())
+    option = ",".join(f"{name}={frames:g}" for name, frames in record.unsure.items())
+    return (
+        f"time offsets were found but not applied, because they are not sure ({found} frames); "
+        f"to apply them, add --offset {option} to fourd make or fourd import"
+    )
 
 
 def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) -> None:

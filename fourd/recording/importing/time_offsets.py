@@ -277,16 +277,21 @@ def applied_offsets(estimate: Estimate | None, given: Mapping[str, float], apply
     return {**sure, **given}
 
 
-def describe_offsets(estimate: Estimate, apply: bool) -> Iterator[str]:
+def describe_offsets(estimate: Estimate, given: Mapping[str, float], apply: bool) -> Iterator[str]:
     """Yield one line per camera with its offset and confidence. If ``apply`` is true, the line also states whether the
-    offset is applied."""
+    offset is applied, or the user's offset that replaces it."""
+    candidates = estimate.candidates()
     for name, frames in estimate.frames.items():
         state = ""
         if apply:
             state = ", applied" if estimate.is_sure(name) else ", not applied" if round(frames) else ""
-        hint = ""
         is_applied = apply and estimate.is_sure(name)
-        if estimate.method != "sound" and 0 < abs(round(frames)) <= UNRELIABLE_FRAMES and not is_applied:
+        hint = ""
+        if name in given:
+            state = f", not applied, because --offset sets {given[name]:+g}"
+        elif apply and name in candidates:
+            hint = f"; --offset {name}={candidates[name]:g} applies it"
+        elif estimate.method != "sound" and 0 < abs(round(frames)) <= UNRELIABLE_FRAMES and not is_applied:
             hint = f"; offsets up to {UNRELIABLE_FRAMES} frames are within the error of the estimate"
         exact = f"{1e3 * frames / estimate.rate:+.1f} ms by sound" if estimate.method == "sound" else f"{frames:+.2f}"
         yield f"{name}: {round(frames):+d} frames ({exact}), confidence {estimate.confidence[name]:.0%}{state}{hint}"
