@@ -8,9 +8,10 @@ import numpy as np
 
 from fourd.pipeline.report.decisions import describe_offsets as describe_decided
 from fourd.recording.capture.video_list import NAME as VIDEO_LIST
-from fourd.recording.importing.record import ImportRecord, describe_unsure, write_record
+from fourd.recording.importing.record import ImportRecord, describe_unsure, read_record, write_record
 from fourd.recording.importing.time_offsets import Estimate, applied_offsets, describe_offsets
-from tests.importing.test_importer import run_import, write_source
+from tests.importing.test_importer import run_import
+from tests.sync.discs import write_disc_videos
 
 FRAMES = {"a": 0.0, "b": 27.1, "c": 47.97, "d": -2.0}
 CONFIDENCE = {"a": 0.8, "b": 0.9, "c": 0.45, "d": 0.8}
@@ -40,10 +41,10 @@ def test_the_users_offsets_replace_estimates() -> None:
 def test_an_unsure_offset_is_reported_with_its_option() -> None:
     """Catches a user who is not told how to apply an offset that was found."""
     estimate = Estimate("epipolar", FRAMES, CONFIDENCE, 30)
-    assert estimate.candidates() == {"c": 47.97}
+    assert estimate.candidates({}) == {"c": 47.97}
     lines = list(describe_offsets(estimate, {}, True))
     assert lines[2] == "c: +48 frames (+47.97), confidence 45%, not applied; --offset c=47.97 applies it"
-    assert Estimate("epipolar", {"a": 0.0, "c": 30.0}, {"a": 0.8, "c": 0.05}, 30).candidates() == {}
+    assert Estimate("epipolar", {"a": 0.0, "c": 30.0}, {"a": 0.8, "c": 0.05}, 30).candidates({}) == {}
 
 
 def test_unsure_offsets_are_named_for_corrected_captures_too(tmp_path: Path) -> None:
@@ -74,9 +75,11 @@ def test_the_summary_names_unsure_offsets() -> None:
 
 def test_given_and_estimated_offsets_are_applied_together(tmp_path: Path, rng: np.random.Generator) -> None:
     """Catches an option --offset that switches the estimates of the other cameras off."""
-    levels = np.cumsum(rng.integers(1, 64, 200)) % 64
-    numbers = {"a": levels[:180], "b": levels[9:189], "c": levels[:180]}
-    source = write_source(tmp_path / "source", {name: of.tolist() for name, of in numbers.items()})
+    source = write_disc_videos(tmp_path / "source", ("a", "b", "c"), (0, -9, 0), 84, rng)
     lines = run_import(source, tmp_path / "out", sync_if_possible=True, offsets={"c": 4.0})
     assert any(line.startswith("c: ") and line.endswith("not applied, because --offset sets +4") for line in lines)
     assert any(line.startswith("b: -9 frames") and line.endswith(", applied") for line in lines)
+    made = read_record(tmp_path / "out")
+    assert made is not None
+    assert made.offsets["c"] == 4
+    assert abs(made.offsets["b"] + 9) < 0.5

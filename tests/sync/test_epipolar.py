@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from fourd.base.cameras import Camera
 from fourd.recording.sync.epipolar import (
@@ -22,31 +21,10 @@ from fourd.recording.sync.epipolar import (
 )
 from fourd.recording.sync.motion import motion_energy
 from tests.captures import ring_cameras
+from tests.sync.discs import SIZE, film, smooth_paths
 
 Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
-SIZE = 96
 FRAMES = 90
-
-
-def smooth_paths(rng: np.random.Generator, frames: int, discs: int = 3) -> Array:
-    """Paths (frames, discs, 3) of discs that move smoothly inside a ball."""
-    steps = gaussian_filter1d(rng.normal(size=(frames + 40, discs, 3)), 6, axis=0)[20 : frames + 20]
-    return np.asarray(0.45 * steps / np.abs(steps).max(), np.float64)
-
-
-def film(camera: Camera, paths: Array, rng: np.random.Generator) -> list[Grey]:
-    """Images of discs on a noisy background. The sensor's noise differs from frame to frame."""
-    backdrop = gaussian_filter1d(rng.uniform(60, 140, (camera.height, camera.width)), 2, axis=1)
-    pictures = []
-    for centres in paths:
-        picture = backdrop.copy()
-        pixels, depth = camera.project(centres)
-        for (x, y), z, level in zip(pixels, depth, (250, 20, 210), strict=False):
-            radius = max(1, round(0.12 * camera.intrinsics[0, 0] / z))
-            cv2.circle(picture, (round(float(x)), round(float(y))), radius, float(level), -1)
-        pictures.append(np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8))
-    return pictures
 
 
 def film_shifted(

@@ -152,7 +152,7 @@ def import_source(
         indices = _read_indices(imported, out, options, track)
         _write(imported, indices, out, options, before.offsets, track, with_calibration=False)
         log("the import with these options already exists; no file is changed")
-        _warn_all(before.warnings, warn)
+        _tell_all(before.warnings, warn)
         return
     started = before or ImportRecord(str(resolved(source)), source_format.name, "", files, {}, {}, False, False, ())
     record = replace(started, calibration=calibration, options=asked, done=False, warnings=())
@@ -167,21 +167,19 @@ def import_source(
     if estimate is not None:
         estimate = _correct_estimate(estimate, imported, source_format, options, log)
         offsets = applied_offsets(estimate, options.offsets, options.applies_estimate)
+        record = replace(record, unsure=estimate.candidates(offsets))
     check_unpacked(out, started, files, offsets, options.reduce)
-    unsure = {} if estimate is None else estimate.candidates()
-    unsure = {name: frames for name, frames in unsure.items() if name not in offsets}
-    record = replace(record, files=files, offsets=offsets, unsure=unsure, unpacked=started.unpacked or options.unpack)
+    record = replace(record, files=files, offsets=offsets, unpacked=started.unpacked or options.unpack)
     write_record(out, record)
     notes = _write(imported, indices, out, options, offsets, track, with_calibration=True)
-    for line in (*notes, *_describe_mattes(out, warnings)):
-        log(line)
-    _warn_all(warnings, warn)
+    _tell_all((*notes, *_describe_mattes(out, warnings)), log)
+    _tell_all(warnings, warn)
     write_record(out, replace(record, done=True, warnings=tuple(warnings)))
 
 
-def _warn_all(lines: Sequence[str], warn: Log) -> None:
+def _tell_all(lines: Sequence[str], tell: Log) -> None:
     for line in lines:
-        warn(line)
+        tell(line)
 
 
 def _correct_estimate(

@@ -77,12 +77,13 @@ class Estimate:
             return is_known and any(self._is_large(n) and c >= MIN_CONFIDENCE for n, c in self.confidence.items())
         return is_known and (self.method == "sound" or self._is_large(name))
 
-    def candidates(self) -> dict[str, float]:
-        """Return the large delays that are not sure enough to be applied, but sure enough to be named."""
+    def candidates(self, given: Mapping[str, float]) -> dict[str, float]:
+        """Return the large delays that are not sure enough to be applied, but sure enough to be named. Those of cameras
+        whose offsets are ``given`` are left out."""
         return {
             name: round(frames, DECIMALS)
             for name, frames in self.frames.items()
-            if self._is_large(name) and MIN_CANDIDATE <= self.confidence[name] < MIN_CONFIDENCE
+            if name not in given and self._is_large(name) and MIN_CANDIDATE <= self.confidence[name] < MIN_CONFIDENCE
         }
 
     def _is_large(self, name: str) -> bool:
@@ -280,7 +281,7 @@ def applied_offsets(estimate: Estimate | None, given: Mapping[str, float], apply
 def describe_offsets(estimate: Estimate, given: Mapping[str, float], apply: bool) -> Iterator[str]:
     """Yield one line per camera with its offset and confidence. If ``apply`` is true, the line also states whether the
     offset is applied, or the user's offset that replaces it."""
-    candidates = estimate.candidates()
+    candidates = estimate.candidates(given)
     for name, frames in estimate.frames.items():
         state = ""
         if apply:
