@@ -62,8 +62,8 @@ class Offsets:
     Attributes:
         frames: offsets in whole frames. The offset of the first camera is 0.
         subframes: offsets with fractions of a frame, from parabolas through the peaks of the correlations.
-        confidence: confidence of each camera's offset in [0, 1]. Offsets with a confidence above 0.3 are reliable, and
-            those below 0.1 are unreliable. For every pair of cameras, the lag is estimated, which is the time shift at
+        confidence: confidence of each camera's offset in [0, 1]. How often offsets of a confidence are right depends on
+            the recording; docs/lab/calibration.md has the measured fractions. For every pair of cameras, the lag is estimated, which is the time shift at
             which their motion energies correlate best. A camera's confidence is the mean confidence of the better half
             of the pairs that include it. A pair's confidence is ``min((p1 - c) / (1 - c), 2 * (p1 - p2))``, where p1 is
             the peak of the correlation of its two signals, p2 the highest correlation at lags more than 3 frames away
