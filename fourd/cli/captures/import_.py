@@ -74,7 +74,7 @@ class Arguments:
     written to OUT/.fourd/sync.png."""
     apply_sync: bool = False
     """Estimate the videos' time offsets, and apply those with a confidence of at least 0.5. Offsets that are estimated
-    from motion are applied only if they also exceed 3 frames."""
+    from motion are applied only if one of them exceeds 3 frames. Offsets of --offset replace estimated ones."""
     sync_by: Annotated[
         SyncMethod,
         RARE,

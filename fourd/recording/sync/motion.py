@@ -37,7 +37,7 @@ MIN_CONFIDENCE = 0.5
 """An offset is applied or reported only if its confidence is at least this value."""
 UNRELIABLE_FRAMES = 3
 """Offsets that are estimated from motion can be wrong by up to this number of frames, so offsets of at most this size
-are neither applied nor reported."""
+do not prove that the cameras lack a common trigger."""
 MIN_OVERLAP = 12
 MAX_LAG_ERROR_FRAMES = 1.0
 LAG_TOLERANCE_FRAMES = 0.2
@@ -63,12 +63,13 @@ class Offsets:
         frames: offsets in whole frames. The offset of the first camera is 0.
         subframes: offsets with fractions of a frame, from parabolas through the peaks of the correlations.
         confidence: confidence of each camera's offset in [0, 1]. How often offsets of a confidence are right depends on
-            the recording; docs/lab/calibration.md has the measured fractions. For every pair of cameras, the lag is estimated, which is the time shift at
-            which their motion energies correlate best. A camera's confidence is the mean confidence of the better half
-            of the pairs that include it. A pair's confidence is ``min((p1 - c) / (1 - c), 2 * (p1 - p2))``, where p1 is
-            the peak of the correlation of its two signals, p2 the highest correlation at lags more than 3 frames away
-            from the peak, and c = 4 / sqrt(frames) the noise level. A pair's confidence is 0 if its lag differs by more
-            than one frame from the difference of the two cameras' offsets.
+            the recording; docs/lab/calibration.md has measured fractions. For every pair of cameras, the lag is
+            estimated, which is the time shift at which their motion energies correlate best. A camera's confidence is
+            the mean confidence of the better half of the pairs that include it. A pair's confidence is
+            ``min((p1 - c) / (1 - c), 2 * (p1 - p2))``, where p1 is the peak of the correlation of its two signals, p2
+            the highest correlation at lags more than 3 frames away from the peak, and c = 4 / sqrt(frames) the noise
+            level. A pair's confidence is 0 if its lag differs by more than one frame from the difference of the two
+            cameras' offsets.
     """
 
     frames: tuple[int, ...]
