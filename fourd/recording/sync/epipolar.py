@@ -48,8 +48,8 @@ STRIDES = (1, 2, 3, 5)
 """Of rigs with more than 9 cameras, only the pairs of cameras i and i + stride, counted in a circle, are compared."""
 LEAD_WEIGHT, HEIGHT_WEIGHT = 4.0, 2.0
 """A pair's confidence is the smaller one of LEAD_WEIGHT times the lead of the peak of its correlation and HEIGHT_WEIGHT
-times its height. With these values, 94 to 100% of the offsets with a confidence of 0.5 to 1 were right within 3 frames; see
-docs/lab/calibration.md."""
+times its height. With these values, 94 to 100% of the offsets with a confidence of 0.5 to 1 were right within 3 frames;
+see docs/lab/calibration.md."""
 
 
 @dataclass(frozen=True, eq=False)
