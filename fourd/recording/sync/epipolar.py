@@ -36,12 +36,12 @@ PLANES = 48
 """Number of groups into which the common planes of two cameras are divided, by angle."""
 ANGLES = 360
 """Number of angles at which it is tested whether both cameras see a plane."""
-RECORD_WIDTH_PX = 100
-"""Width in pixels at which motion is recorded."""
+RECORD_WIDTH_PX, MAX_HEIGHT_PX = 100, 600
+"""Width in pixels at which motion is recorded, and the largest height: pixels are numbered by 16 bits."""
 MAX_PIXELS = 1000
 """Maximum number of pixels of an image whose motion is recorded: those with the most motion. It bounds the memory."""
 MAX_FRAMES = 3600
-"""Maximum number of frames of a camera whose motion is recorded."""
+"""Maximum number of frames of a camera whose motion is recorded: 14 MB if all of it moves."""
 MIN_FRAMES = 2 * MIN_OVERLAP
 """Minimum number of frames of each camera. In fewer frames, too few lags can be compared."""
 STRIDES = (1, 2, 3, 5)
@@ -66,8 +66,8 @@ class MotionRecord:
     energies: Array
     width: int
     height: int
-    pixels: tuple[NDArray[np.int32], ...]
-    amounts: tuple[NDArray[np.float32], ...]
+    pixels: tuple[NDArray[np.uint16], ...]
+    amounts: tuple[NDArray[np.float16], ...]
 
     @staticmethod
     def of(pictures: Iterable[Grey]) -> MotionRecord:
@@ -77,19 +77,20 @@ class MotionRecord:
             ValueError: if the images differ in size.
         """
         energies: list[float] = []
-        pixels: list[NDArray[np.int32]] = []
-        amounts: list[NDArray[np.float32]] = []
+        pixels: list[NDArray[np.uint16]] = []
+        amounts: list[NDArray[np.float16]] = []
         size = (RECORD_WIDTH_PX, 1)
         for moving in moving_pixels(pictures):
             energies.append(float(moving.mean()))
             if len(pixels) < MAX_FRAMES:
-                size = (RECORD_WIDTH_PX, max(1, round(moving.shape[0] * RECORD_WIDTH_PX / moving.shape[1])))
+                height = round(moving.shape[0] * RECORD_WIDTH_PX / moving.shape[1])
+                size = (RECORD_WIDTH_PX, min(max(height, 1), MAX_HEIGHT_PX))
                 flat = cv2.resize(moving, size, interpolation=cv2.INTER_AREA).ravel()
                 found = np.flatnonzero(flat)
                 if len(found) > MAX_PIXELS:
                     found = np.sort(np.argpartition(flat, -MAX_PIXELS)[-MAX_PIXELS:])
-                pixels.append(found.astype(np.int32))
-                amounts.append(flat[found].astype(np.float32))
+                pixels.append(found.astype(np.uint16))
+                amounts.append(flat[found].astype(np.float16))
         if len(energies) > 1:
             # The first image has no previous one. Its motion is assumed to be that of the second image.
             energies[0], pixels[0], amounts[0] = energies[1], pixels[1], amounts[1]
