@@ -77,6 +77,15 @@ def _process_stays_as_it_was() -> Iterator[None]:
     assert enabled, "this test has left torch's gradients disabled"
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _nothing_waits_for_the_disk() -> Iterator[None]:
+    """Files are not flushed to the disk in the processes that run tests: only a failure of the power, which no test
+    causes, would show the difference, and some commands would wait for the disk most of their time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda descriptor: None)
+        yield
+
+
 @pytest.fixture(scope="session")
 def ball_capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A capture of a striped ball: 8 cameras, 3 frames, 64 x 64. Tests must not change this capture."""

@@ -37,8 +37,8 @@ class Arguments:
 
     folder: Path = Path("demo")
     """Folder for all files. Stages whose results it already contains are skipped."""
-    seconds: int = 320
-    """Time limit of training in seconds."""
+    steps: int = 2400
+    """Steps of the training. A limit in steps and not in seconds, so that every machine reaches the same quality."""
     figure: Path | None = None
     """PNG file for a figure of the ground truth and the rendering of a held-out view, and of three novel views.
     docs/figures/demo.png is such a figure."""
@@ -100,7 +100,7 @@ def main() -> None:
     figures, run = folder / "eval.json", folder / "scene.work" / "run"
     if not (capture / "intri.yml").exists():
         step("synth", capture, "--frames", 16, "--cameras", 16, "--size", 320)
-    step("make", capture, "-o", scene, "--test-views", TEST_VIEWS, "--max-seconds", arguments.seconds)
+    step("make", capture, "-o", scene, "--test-views", TEST_VIEWS, "--max-steps", arguments.steps)
     step("eval", run, "--json", figures)
     step("render", scene, "--path", "orbit", "--out", video, "--size", 512, 512)
     if arguments.figure is not None:

@@ -55,6 +55,10 @@ LpipsWeights = Annotated[
 ]
 
 
+OFFSET_HELP = (
+    "Number of frames by which events appear later in the video of camera CAM than in the other videos. "
+    "Fractions are allowed. Example for two cameras: cam02=3,cam05=-1.5."
+)
 TIER_HELP = (
     "full: images look like those of the unpacked scene.",
     "stream: coarser quantisation than full; a player fetches only the source views that it needs.",

@@ -38,6 +38,7 @@ from fourd.reconstruction.training.config import TrainConfig
 from fourd.reconstruction.training.run import Run
 from fourd.reconstruction.training.run_layout import CONFIG_NAME, PREPARATION, SOURCE
 from fourd.recording.board_calibration.search import BoardRecording, find_board_recording
+from fourd.recording.capture import open_capture
 from fourd.recording.capture.frame_rate import set_rate
 from fourd.recording.capture.layout import DERIVED, MATTES
 from fourd.recording.importing.importer import ImportOptions
@@ -78,6 +79,10 @@ class WrittenFiles:
 
     def board(self, source: Path) -> BoardRecording | None:
         return find_board_recording(source, self.context.log)
+
+    def require_frames(self, capture: Path, train: TrainConfig) -> None:
+        views = None if train.views is None else list(train.views)
+        open_capture(capture, views=views, frames=train.frames, mattes=False).close()
 
     def held_out(self, train: TrainConfig, capture: Path) -> TrainConfig:
         return with_test_split(train, capture, self.context.log)

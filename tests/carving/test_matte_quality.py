@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from fourd.base.errors import UserError
+from fourd.cli.main import main
 from fourd.reconstruction.carving.coherence import frame_coherence
 from fourd.reconstruction.carving.matte_quality import MatteQuality, measure_mattes
+from fourd.recording.importing.record import ImportRecord, write_record
 from tests.captures import ring_cameras
 from tests.carving.shapes import MemoryCapture, ball, mask
 
@@ -58,6 +62,8 @@ def test_contradicting_mattes_stop_carving(tmp_path: Path) -> None:
     assert quality.kept_share < 1 / 3
     with pytest.raises(UserError, match=r"the visual hull covers at least a third, got \d+% \(.*--accept-mattes"):
         quality.require_hull(tmp_path)
+    with pytest.raises(UserError, match=r"of this matte\); camera 3 is late; otherwise, fix the mattes"):
+        quality.require_hull(tmp_path, "camera 3 is late")
     good = measure_mattes(capture(5))
     assert good is not None
     good.require_hull(tmp_path)
@@ -78,3 +84,21 @@ def test_two_views_have_no_score() -> None:
     """Catches a warning for a capture with two cameras. Two silhouettes nearly always have a common hull, so two views
     cannot disagree."""
     assert measure_mattes(capture(2)) is None
+
+
+def test_the_error_names_an_offset_that_was_not_applied(
+    ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches an error that names mattes and calibration only, although a camera is probably late."""
+    copy = tmp_path / "capture"
+    shutil.copytree(ball_capture, copy)
+    unsure = {"03": 12.0}
+    write_record(copy, ImportRecord("videos", "videos", "", "", {}, {}, False, True, (), unsure))
+    for path in sorted((copy / "masks").glob("0[2367]/*.png")):
+        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        cv2.imwrite(str(path), np.roll(picture, picture.shape[1] // 2, axis=1))
+    assert main(["carve", str(copy), "--out", str(tmp_path / "hull")]) == 2
+    printed = " ".join(capsys.readouterr().err.split())
+    assert "the visual hull covers at least a third" in printed
+    assert "time offsets were found but not applied, because they are not sure (03 +12 frames)" in printed
+    assert "add --offset 03=12 to fourd make or fourd import; otherwise, fix the mattes" in printed

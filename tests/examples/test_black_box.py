@@ -1,4 +1,4 @@
-"""The test runs examples/triangles/black_box.py as a user would run it."""
+"""The test runs examples/triangles/black_box.py with small images and few steps."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from pathlib import Path
 
 from PIL import Image
 
-from tests.examples.test_examples import ROOT, run
+from tests.examples.programs import EXAMPLES, run_here
 
 
 def test_fitting_through_opengl_reduces_the_error(tmp_path: Path) -> None:
     """Catches ids that do not belong to the image, and a wrong sign of the gradient. With either bug, the error does
     not decrease."""
     out = tmp_path / "pictures.png"
-    printed = run("triangles/black_box.py", "--size", 48, "--triangles", 40, "--steps", 100, "--picture", out)
+    printed = run_here("triangles/black_box.py", "--size", 48, "--triangles", 40, "--steps", 100, "--picture", out)
     words = printed.split()
     before, after = float(words[words.index("before,") - 1]), float(words[words.index("after") - 1])
     assert after < 0.6 * before
@@ -23,4 +23,4 @@ def test_fitting_through_opengl_reduces_the_error(tmp_path: Path) -> None:
 
 def test_readme_lists_the_example() -> None:
     """Catches an example without an entry in examples/README.md."""
-    assert "(triangles/black_box.py)" in (ROOT / "examples" / "README.md").read_text(encoding="utf-8")
+    assert "(triangles/black_box.py)" in (EXAMPLES / "README.md").read_text(encoding="utf-8")

@@ -1,57 +1,43 @@
-"""The test runs the programs in examples/ as a user would run them."""
+"""The programs in examples/, with small images and few steps."""
 
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 from PIL import Image
 
 from fourd.recording.capture import open_capture
 from tests.baking.scenes import ring, write_scene
 from tests.captures import write_ball_capture
+from tests.examples.programs import EXAMPLES, help_of, run_here, run_python
 
-ROOT = Path(__file__).parents[2]
 WITHOUT_TORCH = """
 import runpy, sys
 sys.argv = sys.argv[1:]
 runpy.run_path(sys.argv[0], run_name="__main__")
 assert "torch" not in sys.modules, "the example imported torch"
 """
-EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+PROGRAMS = sorted(path.name for path in EXAMPLES.glob("*.py"))
 
 
-def run(script: str, *arguments: object, python: tuple[str, ...] = ()) -> str:
-    """Run an example in a separate process and return the example's output."""
-    command = [sys.executable, *python, str(ROOT / "examples" / script), *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "120"}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-@pytest.mark.parametrize("script", [path.name for path in EXAMPLES])
-def test_help_describes_every_example(script: str) -> None:
+def test_help_describes_every_example() -> None:
     """Catches an example whose imports or flags no longer work."""
-    assert "usage:" in run(script, "--help")
+    assert [script for script, text in help_of(PROGRAMS).items() if "usage:" not in text] == []
 
 
 def test_readme_lists_every_example() -> None:
     """Catches an example without an entry in examples/README.md."""
-    text = (ROOT / "examples" / "README.md").read_text(encoding="utf-8")
-    assert [path.name for path in EXAMPLES if f"({path.name})" not in text] == []
+    text = (EXAMPLES / "README.md").read_text(encoding="utf-8")
+    assert [script for script in PROGRAMS if f"({script})" not in text] == []
 
 
 def test_fitting_improves_the_picture(tmp_path: Path) -> None:
     """Catches a sign error or a missing gradient in the example's training loop."""
     out = tmp_path / "fitted.png"
-    printed = run("fit_points_to_picture.py", "--size", 32, "--points", 400, "--steps", 60, "--out", out)
+    printed = run_here("fit_points_to_picture.py", "--size", 32, "--points", 400, "--steps", 60, "--out", out)
     scores = [float(line.split()[2]) for line in printed.splitlines() if line.startswith("step")]
     assert scores[-1] > scores[0] + 8
     with Image.open(out) as picture:
@@ -62,7 +48,7 @@ def test_training_from_python(tmp_path: Path) -> None:
     """Catches settings that training ignores, and runs that the example overwrites."""
     capture = write_ball_capture(tmp_path / "capture", cameras=6, frames=2, size=64)
     arguments = ("--out", tmp_path / "runs", "--max-steps", 20, "--points", 200, 400)
-    lines = run("train_with_settings.py", capture, *arguments).splitlines()
+    lines = run_here("train_with_settings.py", capture, *arguments).splitlines()
     found = [re.match(r"(\d+) points: \d+\.\d dB in views that training did not use", line) for line in lines]
     assert [match and match[1] for match in found] == ["200", "400"]
 
@@ -73,7 +59,7 @@ def test_a_scene_is_drawn_without_torch(tmp_path: Path) -> None:
     write_scene(tmp_path / "scene.4dv")
     out = tmp_path / "view.png"
     options = ("--frame", 1, "--degrees", 30, "--out", out)
-    printed = run("draw_scene.py", tmp_path / "scene.4dv", *options, python=("-c", WITHOUT_TORCH))
+    printed = run_python("-c", WITHOUT_TORCH, EXAMPLES / "draw_scene.py", tmp_path / "scene.4dv", *options)
     assert "201 points" in printed
     with Image.open(out) as picture:
         assert np.asarray(picture)[..., 3].max() > 100
@@ -95,7 +81,7 @@ def test_a_custom_format_becomes_a_capture(tmp_path: Path) -> None:
         }
         rig.append(entry)
     (tmp_path / "source" / "rig.json").write_text(json.dumps(rig))
-    run("custom_importer.py", tmp_path / "source", tmp_path / "capture")
+    run_here("custom_importer.py", tmp_path / "source", tmp_path / "capture")
     capture = open_capture(tmp_path / "capture")
     assert capture.frame_count == 1
     for name, camera in zip(capture.names, capture.cameras, strict=True):

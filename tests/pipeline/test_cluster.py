@@ -6,7 +6,6 @@ import importlib.util
 import io
 import json
 import os
-import signal
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,40 +24,12 @@ from fourd.reconstruction.training.config import SegmentConfig
 from fourd.recording.matting.sequence import MatteSettings
 from fourd.scene import open_scene
 from tests.captures import write_ball_capture
+from tests.pipeline.cluster_stages import CounterFiles, die_once, fail, report_process, stop
 from tests.pipeline.test_stage import copy_stage
 from tests.training.small import SMALL, with_steps
 
 HAS_RAY = importlib.util.find_spec("ray") is not None
 needs_ray = pytest.mark.skipif(not HAS_RAY, reason="needs ray (pip install 'fourd[cluster]')")
-
-
-@dataclass(frozen=True)
-class CounterFiles:
-    count: Path
-
-
-def fail(files: CounterFiles, settings: NoSettings, context: Context) -> None:
-    raise UserError(f"{files.count}: expected something else")
-
-
-def stop(files: CounterFiles, settings: NoSettings, context: Context) -> None:
-    raise KeyboardInterrupt
-
-
-def report_process(files: CounterFiles, settings: NoSettings, context: Context) -> None:
-    """Import torch, and print the process id and torch's number of threads."""
-    import torch
-
-    context.log(f"{os.getpid()} {torch.get_num_threads()}")
-
-
-def die_once(files: CounterFiles, settings: NoSettings, context: Context) -> None:
-    """Kill this process in the first call. In the second call, finish the work."""
-    if not files.count.exists():
-        files.count.write_text("1")
-        os.kill(os.getpid(), signal.SIGKILL)
-    files.count.write_text("2")
-    context.log(f"cores {context.workers}, threads {os.environ['OMP_NUM_THREADS']}")
 
 
 @pytest.fixture(scope="module")

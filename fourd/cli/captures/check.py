@@ -60,6 +60,7 @@ def _check(capture: Path, arguments: Arguments) -> None:
     from fourd.recording.calibration.checks.agreement import check_agreement
     from fourd.recording.calibration.checks.verdict import judge
     from fourd.recording.capture.check import check_capture, first_lines
+    from fourd.recording.importing.record import describe_unsure
     from fourd.recording.matting.contours import find_foreign_mattes
     from fourd.recording.sync.lateness import find_late_cameras
 
@@ -81,7 +82,7 @@ def _check(capture: Path, arguments: Arguments) -> None:
                 subject = _check_subject(capture, masked)
                 subject.require(capture)
             if quality is not None:
-                quality.require_hull(capture)
+                quality.require_hull(capture, describe_unsure(capture))
         except UserError as error:
             # Feature matching decodes images, so it can find damage in files that were not decoded before.
             report = replace(report, problems=(*report.problems, str(error)))

@@ -17,7 +17,7 @@ from fourd.base.processes import locked_folder
 from fourd.base.progress import Terminal, Tracker
 from fourd.base.storage import local_path
 from fourd.cli.help import RARE
-from fourd.cli.options import FramesPerSecond, describe, option, parse_offsets
+from fourd.cli.options import OFFSET_HELP, FramesPerSecond, describe, option, parse_offsets
 from fourd.cli.outputs import READS, require_distinct
 from fourd.recording.capture.frame_rate import check_rate
 from fourd.recording.import_choices import FORMAT_NAMES, CalibratedFrames, PairBy, PrincipalPointMode, SyncMethod
@@ -32,10 +32,6 @@ WORDS_HELP = (
     f"FORMAT: {', '.join(FORMAT_NAMES)}; detected if omitted. SRC: input folder or file. OUT: capture folder to create."
 )
 
-OFFSET_HELP = (
-    "Number of frames by which events appear later in the video of camera CAM than in the other videos. "
-    "Fractions are allowed. Example for two cameras: cam02=3,cam05=-1.5."
-)
 SCALE_HELP = (
     "CAM,CAM=METRES: distance between the optical centres of two cameras. One world unit becomes one metre. "
     "FACTOR, such as 0.5: reduce width and height of video frames by this factor, and scale the calibration."
@@ -78,7 +74,7 @@ class Arguments:
     written to OUT/.fourd/sync.png."""
     apply_sync: bool = False
     """Estimate the videos' time offsets, and apply those with a confidence of at least 0.5. Offsets that are estimated
-    from motion are applied only if they also exceed 3 frames."""
+    from motion are applied only if one of them exceeds 3 frames. Offsets of --offset replace estimated ones."""
     sync_by: Annotated[
         SyncMethod,
         RARE,

@@ -17,7 +17,16 @@ from fourd.base.storage import Location
 from fourd.cli.captures.matte import MatteOptions
 from fourd.cli.help import RARE
 from fourd.cli.locations import PATH_OR_URL, OutLocation
-from fourd.cli.options import TIER_HELP, FramesPerSecond, Workers, describe, option, worker_count
+from fourd.cli.options import (
+    OFFSET_HELP,
+    TIER_HELP,
+    FramesPerSecond,
+    Workers,
+    describe,
+    option,
+    parse_offsets,
+    worker_count,
+)
 from fourd.cli.outputs import READS, WRITES, WRITES_WHOLE_FOLDER
 from fourd.cli.training_options import TrainingOptions
 from fourd.recording.capture.frame_rate import check_rate
@@ -32,9 +41,9 @@ RAY_HELP = (
 )
 SOURCE_HELP = (
     "A capture, or any input of fourd import, such as a folder of videos or a session with a calibration folder. "
-    "Videos without a calibration are calibrated from the recording of a calibration board beside them (board.toml and "
-    "the folder board/), or else from their own images. To set time offsets or the scale by hand, run fourd import "
-    "first. The input can also be at a URL such as s3://bucket/videos."
+    "Videos without a calibration are calibrated from the recording of a calibration board beside them (board.toml "
+    "and the folder board/), or else from their own images. To set the scale by hand, run fourd import first. The "
+    "input can also be at a URL such as s3://bucket/videos."
 )
 WEB_HELP = "Folder to write, with a web page that plays the scene. `fourd serve FOLDER` shows it on this machine."
 WORK_DEFAULT = "scene.work beside scene.4dv"
@@ -73,6 +82,11 @@ class Arguments:
             "are synchronised.",
         ),
     ] = "auto"
+    offset: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        RARE,
+        tyro.conf.arg(metavar="CAM=FRAMES", help=OFFSET_HELP, help_behavior_hint="(repeatable)"),
+    ] = ()
     tier: Annotated[
         Literal[Tier, "none"],
         RARE,
@@ -127,7 +141,12 @@ def run(arguments: Arguments) -> None:
             Context(console, worker_count(arguments.workers), device=options.device),
             points_from=options.points_from,
             lpips_weights=options.lpips_weights,
-            imports=ImportOptions(calibration=given, fps=arguments.fps, sync_if_possible=arguments.sync == "auto"),
+            imports=ImportOptions(
+                calibration=given,
+                fps=arguments.fps,
+                offsets=parse_offsets(arguments.offset),
+                sync_if_possible=arguments.sync == "auto",
+            ),
             pack=None if arguments.tier == "none" else PackSettings(arguments.tier),
             accept_mattes=options.accept_mattes,
             keep_chosen_mattes=not arguments.mattes.is_given,

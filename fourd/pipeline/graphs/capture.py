@@ -24,12 +24,12 @@ from fourd.recording.importing.record import RECORD
 
 def needs_import(source: Path, options: ImportOptions) -> bool:
     """Return whether a source must be imported: whether it is no usable capture, or a folder of calibrated videos that
-    fourd has not imported, and whose time offsets are to be estimated. Mattes in it belong to unshifted videos, so a
-    folder with mattes is used as it is."""
+    fourd has not imported, and whose time offsets are given or are to be estimated. Mattes in it belong to unshifted
+    videos, so a folder with mattes is used as it is."""
     if not is_usable(source):
         return True
     is_known = any((source / name).exists() for name in (RECORD, VIDEO_LIST, MATTES, MASKS, "images"))
-    return options.sync_if_possible and not is_known
+    return (options.sync_if_possible or bool(options.offsets)) and not is_known
 
 
 def lacks_calibration(source: Path, options: ImportOptions) -> bool:
@@ -47,7 +47,8 @@ def stages_to_capture(source: Path, imported: Path, options: ImportOptions) -> t
     """Return the stage that imports ``source`` as a capture into the folder ``imported``, if it must be imported.
 
     Raises:
-        UserError: if ``options`` contain a calibration, but ``source`` is a capture, which already has one.
+        UserError: if ``options`` contain a calibration, but ``source`` is a capture, which already has one, or if they
+            contain time offsets for a capture, whose frames are already aligned.
     """
     if options.calibration is not None and is_usable(source):
         raise UserError(
@@ -55,7 +56,14 @@ def stages_to_capture(source: Path, imported: Path, options: ImportOptions) -> t
             "or import the videos with: "
             + command_line("fourd", "import", "videos", source, "CAPTURE", "--calibration", options.calibration)
         )
-    return (import_stage(source, imported, options),) if needs_import(source, options) else ()
+    if not needs_import(source, options):
+        if options.offsets:
+            raise UserError(
+                f"--offset: expected videos, got the capture {source}, whose frames are aligned; import its videos "
+                "again with fourd import --offset"
+            )
+        return ()
+    return (import_stage(source, imported, options),)
 
 
 def stages_to_hull_mattes(

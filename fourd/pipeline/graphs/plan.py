@@ -78,6 +78,9 @@ class Forecast:
     def board(self, source: Path) -> BoardRecording | None:
         return find_board_recording(source, lambda line: None)
 
+    def require_frames(self, capture: Path, train: TrainConfig) -> None:
+        pass
+
     def held_out(self, train: TrainConfig, capture: Path) -> TrainConfig:
         return train
 

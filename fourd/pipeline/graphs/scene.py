@@ -38,6 +38,9 @@ class Look(Protocol):
     def board(self, source: Path) -> BoardRecording | None:
         """Return the recording of a calibration board that belongs to videos without a calibration, or None."""
 
+    def require_frames(self, capture: Path, train: TrainConfig) -> None:
+        """Raise UserError if a capture lacks some of the selected cameras and frames."""
+
     def held_out(self, train: TrainConfig, capture: Path) -> TrainConfig:
         """Return the training config with the names of the held-out cameras."""
 
@@ -93,7 +96,10 @@ class SceneStages:
         if to_capture:
             capture = self.work / CAPTURE
             yield to_capture
-        yield check_stage(capture), repair_stage(capture, self.work / REPAIRED)
+        yield (check_stage(capture),)
+        # The repair takes minutes, so a mistake in --frames is reported before it.
+        look.require_frames(capture, train)
+        yield (repair_stage(capture, self.work / REPAIRED),)
         train = look.held_out(train, capture)
         capture = look.repaired(capture, self.work / REPAIRED)
         still, masks = look.still(capture, train) if self.run.points_from is None else None, look.masks(capture)

@@ -9,7 +9,7 @@ from fourd.pipeline.facts import has_masks
 from fourd.reconstruction.training.run import load_run_config
 from fourd.reconstruction.training.run_layout import COLOURS, CONFIG_NAME
 from fourd.recording.importing.given_calibration import REPORT
-from fourd.recording.importing.record import RECORD, read_record
+from fourd.recording.importing.record import RECORD, ImportRecord, read_record
 
 
 def describe_decisions(calibration: Path, imported: Path, repaired: Path, run: Path) -> tuple[str, ...]:
@@ -29,10 +29,8 @@ def _decisions(calibration: Path, imported: Path, repaired: Path, run: Path) -> 
     if (calibration / REPORT).is_file():
         yield f"cameras: calibrated from a recording of a board ({calibration}); --calibration FOLDER uses another one"
     record = read_record(imported) if (imported / RECORD).is_file() else None
-    if record is not None and record.options.get("sync_if_possible"):
-        applied = ", ".join(f"{name} {frames:+g}" for name, frames in record.offsets.items() if frames)
-        found = f"{applied} frames; --sync none applies none" if applied else "none is sure enough to be applied"
-        yield f"time offsets between the videos: {found}; fourd import --offset sets them"
+    if record is not None:
+        yield from describe_offsets(record)
     if config.capture.resolve() == repaired.resolve():
         yield f"cameras: the calibration was corrected ({repaired}); fourd train on the capture uses it uncorrected"
     if (run / COLOURS).is_dir():
@@ -44,3 +42,15 @@ def _decisions(calibration: Path, imported: Path, repaired: Path, run: Path) -> 
         yield f"held out: {held_out}; --test-views none trains on all cameras"
     if not has_masks(config.capture):
         yield "mattes: made by fourd; --method chooses how, and masks in CAPTURE/masks/ replace them"
+
+
+def describe_offsets(record: ImportRecord) -> Iterator[str]:
+    """Yield one line for the time offsets that an import applied, and one for those that it found but did not apply."""
+    if record.options.get("sync_if_possible") or record.offsets:
+        applied = ", ".join(f"{name} {frames:+g}" for name, frames in record.offsets.items() if frames)
+        found = f"{applied} frames; --sync none estimates none" if applied else "none is applied"
+        yield f"time offsets between the videos: {found}; --offset CAMERA=FRAMES sets them"
+    if record.unsure:
+        unsure = ", ".join(f"{name} {frames:+g}" for name, frames in record.unsure.items())
+        option = ",".join(f"{name}={frames:g}" for name, frames in record.unsure.items())
+        yield f"time offsets that are not sure: {unsure} frames are not applied; --offset {option} applies them"

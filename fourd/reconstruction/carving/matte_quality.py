@@ -80,14 +80,17 @@ class MatteQuality:
                 share = float(np.mean(self.explained[start : end + 1, index]))
                 yield share, name, self.frames[start], self.frames[end]
 
-    def require_hull(self, path: Path) -> None:
-        """Raise UserError if the hull covers less than a third of the mattes' area."""
+    def require_hull(self, path: Path, cause: str = "") -> None:
+        """Raise UserError if the hull covers less than a third of the mattes' area. The message names the possible
+        ``cause``, if there is one."""
         if self.kept_share >= MIN_KEPT:
             return
         worst = next(iter(self.warnings()), "no view is much worse than the others")
+        also = f"{cause}; otherwise, " if cause else ""
         raise UserError(
             f"{path}: expected mattes of which the visual hull covers at least a third, got {self.kept_share:.0%} "
-            f"({worst}); fix the mattes (docs/matting.md) or the calibration, or continue with --accept-mattes"
+            f"({worst}); {also}fix the mattes (docs/matting.md) or the calibration, or "
+            "continue with --accept-mattes"
         )
 
     def save(self, path: Path) -> None:

@@ -46,6 +46,7 @@ from fourd.recording.importing.time_offsets import (
     describe_offsets,
     estimate_if_possible,
     estimate_offsets_of,
+    estimate_with_cameras,
 )
 from fourd.recording.importing.writer import ImportSettings, check_import, write_capture
 
@@ -66,7 +67,8 @@ class ImportOptions:
         copy: copy files instead of linking them.
         unpack: write the frames of videos as images.
         offsets: time offsets of the videos in frames of the capture, keyed by camera name. Missing offsets are 0. In a
-            video with the offset n, each event appears n frames later than in a video with the offset 0.
+            video with the offset n, each event appears n frames later than in a video with the offset 0. They replace
+            estimated offsets.
         sync: estimate the offsets without applying them.
         apply_sync: estimate the offsets and apply those with high confidence.
         sync_if_possible: like ``apply_sync``, but videos whose offsets cannot be estimated are no error.
@@ -150,7 +152,7 @@ def import_source(
         indices = _read_indices(imported, out, options, track)
         _write(imported, indices, out, options, before.offsets, track, with_calibration=False)
         log("the import with these options already exists; no file is changed")
-        _warn_all(before.warnings, warn)
+        _tell_all(before.warnings, warn)
         return
     started = before or ImportRecord(str(resolved(source)), source_format.name, "", files, {}, {}, False, False, ())
     record = replace(started, calibration=calibration, options=asked, done=False, warnings=())
@@ -165,31 +167,32 @@ def import_source(
     if estimate is not None:
         estimate = _correct_estimate(estimate, imported, source_format, options, log)
         offsets = applied_offsets(estimate, options.offsets, options.applies_estimate)
+        record = replace(record, unsure=estimate.candidates(offsets))
     check_unpacked(out, started, files, offsets, options.reduce)
     record = replace(record, files=files, offsets=offsets, unpacked=started.unpacked or options.unpack)
     write_record(out, record)
     notes = _write(imported, indices, out, options, offsets, track, with_calibration=True)
-    for line in (*notes, *_describe_mattes(out, warnings)):
-        log(line)
-    _warn_all(warnings, warn)
+    _tell_all((*notes, *_describe_mattes(out, warnings)), log)
+    _tell_all(warnings, warn)
     write_record(out, replace(record, done=True, warnings=tuple(warnings)))
 
 
-def _warn_all(lines: Sequence[str], warn: Log) -> None:
+def _tell_all(lines: Sequence[str], tell: Log) -> None:
     for line in lines:
-        warn(line)
+        tell(line)
 
 
 def _correct_estimate(
     estimate: Estimate, imported: Imported, source_format: Format, options: ImportOptions, log: Log
 ) -> Estimate:
-    """If the offsets were estimated from sound, correct them by the time that sound takes to reach each calibrated
-    camera, and log the offsets."""
+    """Improve the estimated offsets with the calibrated cameras, and log them. Offsets from sound are corrected by the
+    time that the sound takes to reach each camera; offsets from motion are estimated again in epipolar planes."""
     is_metric = source_format.is_metric or options.distance is not None or options.board is not None
     if options.calibration is not None:
         is_metric |= is_metric_calibration(Path(options.calibration))
     corrected = correct_sound_travel(estimate, imported.cameras, options.sound_at, is_metric, log)
-    for line in describe_offsets(corrected, options.applies_estimate) if corrected.method == "sound" else ():
+    corrected = estimate_with_cameras(corrected, imported.cameras, log)
+    for line in describe_offsets(corrected, options.offsets, options.applies_estimate):
         log(line)
     return corrected
 
@@ -200,8 +203,6 @@ def _check_options(imported: Imported, source: Path, options: ImportOptions) -> 
         raise UserError("--apply-sync: expected no --sync, got both options; choose one")
     if options.calibrate and options.calibration is not None:
         raise UserError("--calibrate: expected no --calibration, got both options; choose one")
-    if options.apply_sync and options.offsets:
-        raise UserError("--apply-sync: expected no --offset, got both options; choose one")
     if not (options.sync or options.apply_sync) and (options.sync_by, options.sound_at) != ("auto", "auto"):
         raise UserError("--sync-by, --sound-at: expected --sync or --apply-sync, got none of them; add one of them")
     check_import(imported, ImportSettings(options.copy, options.unpack, options.offsets))
@@ -230,20 +231,16 @@ def _check_options(imported: Imported, source: Path, options: ImportOptions) -> 
 def _estimate(
     imported: Imported, indices: Indices, out: Path, options: ImportOptions, log: Log, track: Track
 ) -> Estimate | None:
-    """Estimate the offsets of the videos if an option requests it."""
+    """Estimate the offsets of the videos if an option requests it. They are logged later, because calibrated cameras
+    improve them."""
     if options.sync_if_possible:
         found = estimate_if_possible(imported.cameras, indices, out, log, track)
         if found is None:
             return None
-        estimate = found
-    elif options.sync or options.apply_sync:
-        estimate = estimate_offsets_of(imported.cameras, indices, out, options.sync_by, log, track)
-    else:
-        return None
-    # Offsets from sound are logged later, because correcting them for the sound's travel time needs calibrated cameras.
-    for line in describe_offsets(estimate, options.applies_estimate) if estimate.method == "motion" else ():
-        log(line)
-    return estimate
+        return found
+    if options.sync or options.apply_sync:
+        return estimate_offsets_of(imported.cameras, indices, out, options.sync_by, log, track)
+    return None
 
 
 def _with_rate(imported: Imported, source: Path, options: ImportOptions) -> Imported:

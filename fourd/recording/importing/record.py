@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,6 +17,7 @@ from fourd.base.files import is_unused, resolved, write_text_atomically
 from fourd.base.json_file import decode_json
 from fourd.base.limits import read_json
 from fourd.recording.capture.layout import DERIVED
+from fourd.recording.capture.video_list import NAME as VIDEO_LIST
 from fourd.recording.importing.imported import EncodedPictures, Imported, PictureFiles
 
 RECORD = DERIVED / "import.json"
@@ -39,6 +40,7 @@ class ImportRecord:
         unpacked: whether the videos' frames were written as images; the images are aligned by ``offsets``.
         done: whether the import finished.
         warnings: warnings of the import.
+        unsure: large time offsets that were found, but were not sure enough to be applied.
     """
 
     source: str
@@ -50,6 +52,7 @@ class ImportRecord:
     unpacked: bool
     done: bool
     warnings: tuple[str, ...]
+    unsure: dict[str, Number] = field(default_factory=dict)
 
 
 def read_record(out: Path) -> ImportRecord | None:
@@ -75,6 +78,26 @@ def read_record(out: Path) -> ImportRecord | None:
             f"{path}: expected the record of an import, got other content ({error}); name another folder"
         ) from error
     return record
+
+
+def describe_unsure(capture: Path) -> str:
+    """Return a sentence with the offsets that the import of a capture found but did not apply, and with the option that
+    applies them. It is empty if there are none, or if the folder is not from an import.
+
+    A corrected capture has no record of its own. Its list of videos is a link to that of the imported capture.
+    """
+    folder = (capture / VIDEO_LIST).resolve().parent
+    if not (folder / RECORD).is_file():
+        return ""
+    record = read_record(folder)
+    if record is None or not record.unsure:
+        return ""
+    found = ", ".join(f"{name} {frames:+g}" for name, frames in record.unsure.items())
+    option = ",".join(f"{name}={frames:g}" for name, frames in record.unsure.items())
+    return (
+        f"time offsets were found but not applied, because they are not sure ({found} frames); "
+        f"to apply them, add --offset {option} to fourd make or fourd import"
+    )
 
 
 def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Literal
@@ -20,6 +20,7 @@ from fourd.recording.capture.video import VideoIndex
 from fourd.recording.import_choices import SyncMethod
 from fourd.recording.importing.imported import ImportedCamera, video_files
 from fourd.recording.importing.sample_frames import SynchronizedFrames
+from fourd.recording.sync.epipolar import MotionRecord, estimate_epipolar_offsets
 from fourd.recording.sync.motion import (
     MIN_CONFIDENCE,
     MIN_OVERLAP,
@@ -27,12 +28,13 @@ from fourd.recording.sync.motion import (
     WIDTH_PX,
     Offsets,
     estimate_offsets,
-    motion_energy,
     plot_offsets,
 )
 from fourd.recording.sync.sound import SPEED_OF_SOUND, Soundtrack, estimate_sound_offsets, read_soundtrack, travel_times
 
 MAX_OFFSET_FRAMES = 300
+MIN_CANDIDATE = 0.1
+"""An offset that is not applied is named to the user only if its confidence is at least this value."""
 DECIMALS = 2
 """Applied offsets, in frames, are rounded to this number of decimals."""
 PLOT = DERIVED / "sync.png"
@@ -51,21 +53,41 @@ class Estimate:
     """Estimated delays of all videos relative to the first camera's video.
 
     Attributes:
-        method: "sound" or "motion".
+        method: "sound", "motion" (the motion energies of whole images), or "epipolar" (the motion in epipolar planes).
         frames: delays in (fractional) frames of the common clock, keyed by camera name.
         confidence: confidence in [0, 1] of each delay.
         rate: frame rate of the common clock in 1/s.
+        motion: the motion in each camera's images, or empty if the delays were estimated from sound.
     """
 
-    method: Literal["sound", "motion"]
+    method: Literal["sound", "motion", "epipolar"]
     frames: dict[str, float]
     confidence: dict[str, float]
     rate: float
+    motion: dict[str, MotionRecord] = field(default_factory=dict, repr=False)
 
     def is_sure(self, name: str) -> bool:
-        """Return whether --apply-sync applies the estimated delay of a camera."""
-        is_large = self.method == "sound" or abs(round(self.frames[name])) > UNRELIABLE_FRAMES
-        return is_large and self.confidence[name] >= MIN_CONFIDENCE
+        """Return whether --apply-sync applies the estimated delay of a camera.
+
+        Small delays from motion may be errors of synchronous cameras. Delays from epipolar planes are exact to about a
+        frame, so small ones are doubted only as long as no other camera has a large one.
+        """
+        is_known = self.confidence[name] >= MIN_CONFIDENCE
+        if self.method == "epipolar":
+            return is_known and any(self._is_large(n) and c >= MIN_CONFIDENCE for n, c in self.confidence.items())
+        return is_known and (self.method == "sound" or self._is_large(name))
+
+    def candidates(self, given: Mapping[str, float]) -> dict[str, float]:
+        """Return the large delays that are not sure enough to be applied, but sure enough to be named. Those of cameras
+        whose offsets are ``given`` are left out."""
+        return {
+            name: round(frames, DECIMALS)
+            for name, frames in self.frames.items()
+            if name not in given and self._is_large(name) and MIN_CANDIDATE <= self.confidence[name] < MIN_CONFIDENCE
+        }
+
+    def _is_large(self, name: str) -> bool:
+        return abs(round(self.frames[name])) > UNRELIABLE_FRAMES
 
 
 def estimate_offsets_of(
@@ -93,11 +115,11 @@ def estimate_offsets_of(
             if method == "sound":
                 raise
             log(f"offsets are estimated from motion, because sound gives no offsets: {str(error).rpartition('; ')[0]}")
-    found = find_offsets(cameras, indices, out, track)
+    found, records = find_offsets(cameras, indices, out, track)
     log(f"plot of the motion energies: {out / PLOT}")
     names = [camera.name for camera in cameras]
-    frames = dict(zip(names, found.subframes, strict=True))
-    return Estimate("motion", frames, dict(zip(names, found.confidence, strict=True)), rate)
+    frames, confidence = (dict(zip(names, values, strict=True)) for values in (found.subframes, found.confidence))
+    return Estimate("motion", frames, confidence, rate, dict(zip(names, records, strict=True)))
 
 
 def estimate_if_possible(
@@ -156,9 +178,9 @@ def _from_sound(
 
 def find_offsets(
     cameras: tuple[ImportedCamera, ...], indices: Mapping[str, VideoIndex], out: Path, track: Track
-) -> Offsets:
+) -> tuple[Offsets, list[MotionRecord]]:
     """Estimate from motion how much each camera is delayed relative to the first camera. Plot the delays to
-    ``out``/.fourd/sync.png.
+    ``out``/.fourd/sync.png. Returns the delays, and the motion in the images of each camera.
 
     The maximum offset is n // 3, n - MIN_OVERLAP or MAX_OFFSET_FRAMES, whichever is smallest, where n is the number of
     frames of the camera with the fewest frames.
@@ -172,13 +194,33 @@ def find_offsets(
             raise UserError(
                 f"--sync: expected more than {MIN_OVERLAP} frames per camera, got {frames.count}; use --offset instead"
             )
-        energies = []
+        records = []
         for index, name in enumerate(frames.names):
             numbers = track(range(frames.counts[index]), frames.counts[index], f"motion of {name}")
-            energies.append(motion_energy(_reduced_frames(frames, index, numbers)))
+            records.append(MotionRecord.of(_reduced_frames(frames, index, numbers)))
+    energies = [record.energies for record in records]
     found = estimate_offsets(energies, max_offset)
     plot_offsets(out / PLOT, frames.names, energies, found)
-    return found
+    return found, records
+
+
+def estimate_with_cameras(estimate: Estimate, cameras: Sequence[ImportedCamera], log: Log) -> Estimate:
+    """Estimate delays from motion again, now that the cameras are calibrated, from the motion in common epipolar
+    planes. The energies of whole images are only a guess: with a confidence of 30 to 50%, most of their delays can be
+    wrong, and with more than 50% a third (docs/lab/calibration.md).
+
+    Estimates from sound, and estimates for which a calibration is missing or which have too few frames, are returned
+    unchanged.
+    """
+    calibrations = [camera.calibration for camera in cameras if camera.calibration is not None]
+    if estimate.method != "motion" or len(calibrations) < len(estimate.motion):
+        return estimate
+    found = estimate_epipolar_offsets(list(estimate.motion.values()), calibrations, MAX_OFFSET_FRAMES)
+    if found is None:
+        return estimate
+    log("the cameras are calibrated: offsets are estimated from the motion in common epipolar planes")
+    frames, confidence = (dict(zip(estimate.motion, each, strict=True)) for each in (found.subframes, found.confidence))
+    return replace(estimate, method="epipolar", frames=frames, confidence=confidence)
 
 
 def correct_sound_travel(
@@ -197,7 +239,7 @@ def correct_sound_travel(
         is_metric: whether one world unit is known to be one metre.
         log: called with one line that states the correction, or the reason why there is none.
     """
-    if estimate.method == "motion" and position not in ("auto", "none"):
+    if estimate.method != "sound" and position not in ("auto", "none"):
         log("--sound-at is not used, because offsets from motion contain no travel time of sound")
     if estimate.method != "sound" or position == "none":
         return estimate
@@ -228,22 +270,29 @@ def correct_sound_travel(
 
 
 def applied_offsets(estimate: Estimate | None, given: Mapping[str, float], apply: bool) -> dict[str, float]:
-    """Return the offsets to apply, in frames. If ``apply`` is true, these are the estimated offsets of high confidence,
-    otherwise the user's offsets."""
+    """Return the offsets to apply, in frames: the user's offsets. If ``apply`` is true, also the estimated offsets of
+    other cameras that have a high confidence."""
     if estimate is None or not apply:
         return dict(given)
-    return {name: round(of, DECIMALS) for name, of in estimate.frames.items() if estimate.is_sure(name)}
+    sure = {name: round(of, DECIMALS) for name, of in estimate.frames.items() if estimate.is_sure(name)}
+    return {**sure, **given}
 
 
-def describe_offsets(estimate: Estimate, apply: bool) -> Iterator[str]:
+def describe_offsets(estimate: Estimate, given: Mapping[str, float], apply: bool) -> Iterator[str]:
     """Yield one line per camera with its offset and confidence. If ``apply`` is true, the line also states whether the
-    offset is applied."""
+    offset is applied, or the user's offset that replaces it."""
+    candidates = estimate.candidates(given)
     for name, frames in estimate.frames.items():
         state = ""
         if apply:
             state = ", applied" if estimate.is_sure(name) else ", not applied" if round(frames) else ""
+        is_applied = apply and estimate.is_sure(name)
         hint = ""
-        if estimate.method == "motion" and 0 < abs(round(frames)) <= UNRELIABLE_FRAMES:
+        if name in given:
+            state = f", not applied, because --offset sets {given[name]:+g}"
+        elif apply and name in candidates:
+            hint = f"; --offset {name}={candidates[name]:g} applies it"
+        elif estimate.method != "sound" and 0 < abs(round(frames)) <= UNRELIABLE_FRAMES and not is_applied:
             hint = f"; offsets up to {UNRELIABLE_FRAMES} frames are within the error of the estimate"
         exact = f"{1e3 * frames / estimate.rate:+.1f} ms by sound" if estimate.method == "sound" else f"{frames:+.2f}"
         yield f"{name}: {round(frames):+d} frames ({exact}), confidence {estimate.confidence[name]:.0%}{state}{hint}"

@@ -9,14 +9,8 @@ import numpy as np
 
 from fourd.base.progress import Track, untracked
 from fourd.recording.capture.reader import open_capture
-from fourd.recording.sync.motion import (
-    MIN_CONFIDENCE,
-    MIN_OVERLAP,
-    UNRELIABLE_FRAMES,
-    WIDTH_PX,
-    estimate_offsets,
-    motion_energy,
-)
+from fourd.recording.sync.epipolar import MotionRecord, estimate_epipolar_offsets
+from fourd.recording.sync.motion import MIN_CONFIDENCE, UNRELIABLE_FRAMES, WIDTH_PX
 
 MAX_FRAMES = 300
 """Maximum number of frames that are compared. They are taken from the middle of the capture."""
@@ -45,17 +39,19 @@ def find_late_cameras(path: Path | str, track: Track = untracked) -> list[str]:
         return []
     count = min(total, MAX_FRAMES)
     first = (total - count) // 2
-    energies = []
+    records = []
     with open_capture(path, mattes=False, scale=min(1.0, WIDTH_PX / widest)) as capture:
         for index, name in enumerate(names):
             numbers = track(range(first, first + count), count, f"motion of {name}")
-            energies.append(
-                motion_energy(
+            records.append(
+                MotionRecord.of(
                     np.asarray(cv2.cvtColor(capture.image(index, number), cv2.COLOR_RGB2GRAY), np.uint8)
                     for number in numbers
                 )
             )
-    found = estimate_offsets(energies, min(count // 3, count - MIN_OVERLAP))
+        found = estimate_epipolar_offsets(records, capture.cameras, count // 3)
+    if found is None:
+        return []
     usual = int(np.median(found.frames))
     lines = []
     for name, frames, confidence in zip(names, found.frames, found.confidence, strict=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from fourd.base.files import write_bytes_atomically
-from fourd.recording.sync.pairs import camera_confidence, solve_offsets
+from fourd.recording.sync.pairs import camera_confidence, find_peak, solve_offsets
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
@@ -31,14 +31,13 @@ MAX_SIGNAL = 4.0
 
 Clipping limits the effect of cuts and flashes that occur in only one camera.
 """
-PEAK_RADIUS_FRAMES = 3
 WIDTH_PX = 200
 """Width in pixels to which images are reduced before the motion energy is computed."""
 MIN_CONFIDENCE = 0.5
 """An offset is applied or reported only if its confidence is at least this value."""
 UNRELIABLE_FRAMES = 3
 """Offsets that are estimated from motion can be wrong by up to this number of frames, so offsets of at most this size
-are neither applied nor reported."""
+do not prove that the cameras lack a common trigger."""
 MIN_OVERLAP = 12
 MAX_LAG_ERROR_FRAMES = 1.0
 LAG_TOLERANCE_FRAMES = 0.2
@@ -63,13 +62,14 @@ class Offsets:
     Attributes:
         frames: offsets in whole frames. The offset of the first camera is 0.
         subframes: offsets with fractions of a frame, from parabolas through the peaks of the correlations.
-        confidence: confidence of each camera's offset in [0, 1]. Offsets with a confidence above 0.3 are reliable, and
-            those below 0.1 are unreliable. For every pair of cameras, the lag is estimated, which is the time shift at
-            which their motion energies correlate best. A camera's confidence is the mean confidence of the better half
-            of the pairs that include it. A pair's confidence is ``min((p1 - c) / (1 - c), 2 * (p1 - p2))``, where p1 is
-            the peak of the correlation of its two signals, p2 the highest correlation at lags more than 3 frames away
-            from the peak, and c = 4 / sqrt(frames) the noise level. A pair's confidence is 0 if its lag differs by more
-            than one frame from the difference of the two cameras' offsets.
+        confidence: confidence of each camera's offset in [0, 1]. How often offsets of a confidence are right depends on
+            the recording; docs/lab/calibration.md has measured fractions. For every pair of cameras, the lag is
+            estimated, which is the time shift at which their motion energies correlate best. A camera's confidence is
+            the mean confidence of the better half of the pairs that include it. A pair's confidence is
+            ``min((p1 - c) / (1 - c), 2 * (p1 - p2))``, where p1 is the peak of the correlation of its two signals, p2
+            the highest correlation at lags more than 3 frames away from the peak, and c = 4 / sqrt(frames) the noise
+            level. A pair's confidence is 0 if its lag differs by more than one frame from the difference of the two
+            cameras' offsets.
     """
 
     frames: tuple[int, ...]
@@ -92,24 +92,33 @@ def motion_energy(pictures: Iterable[Grey]) -> Array:
     Raises:
         ValueError: if the images differ in size.
     """
-    energies: list[float] = []
-    before: NDArray[np.float32] | None = None
-    for picture in pictures:
-        now = np.asarray(cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 0.8), np.float32)
-        if before is not None and before.shape != now.shape:
-            raise ValueError(f"pictures: expected {before.shape} pixels like the previous image, got {now.shape}")
-        energies.append(0.0 if before is None else _difference(before, now))
-        before = now
+    energies = [float(moving.mean()) for moving in moving_pixels(pictures)]
     if len(energies) > 1:
         energies[0] = energies[1]
     return np.array(energies, np.float64)
 
 
-def _difference(before: NDArray[np.float32], now: NDArray[np.float32]) -> float:
+def moving_pixels(pictures: Iterable[Grey]) -> Iterator[NDArray[np.float32]]:
+    """Yield, for each of F grey images (H, W) uint8, the absolute difference (H, W) to the previous image in grey
+    levels, without exposure changes and noise; see :func:`motion_energy`. The difference of the first image is 0.
+
+    Raises:
+        ValueError: if the images differ in size.
+    """
+    before: NDArray[np.float32] | None = None
+    for picture in pictures:
+        now = np.asarray(cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 0.8), np.float32)
+        if before is not None and before.shape != now.shape:
+            raise ValueError(f"pictures: expected {before.shape} pixels like the previous image, got {now.shape}")
+        yield np.zeros_like(now) if before is None else _difference(before, now)
+        before = now
+
+
+def _difference(before: NDArray[np.float32], now: NDArray[np.float32]) -> NDArray[np.float32]:
     gain, offset = _fit_exposure(before.ravel()[::3], now.ravel()[::3])
     difference = np.abs(now - gain * before - offset)
     noise = 1.4826 * float(np.median(difference))
-    return float(np.maximum(difference - NOISE_SIGMAS * noise, 0).mean())
+    return np.asarray(np.maximum(difference - NOISE_SIGMAS * noise, 0), np.float32)
 
 
 def _fit_exposure(before: NDArray[np.float32], now: NDArray[np.float32]) -> tuple[float, float]:
@@ -193,20 +202,10 @@ def _estimate_lag(first: Array, second: Array, max_lag: int) -> tuple[float, flo
         the lag, and the weight in [0, 1] that this pair of cameras has in the fit of the offsets.
     """
     scores = np.array([_correlation(first, second, lag) for lag in range(-max_lag, max_lag + 1)])
-    top = int(scores.argmax())
-    peak = float(scores[top])
-    others = np.delete(
-        scores, np.arange(max(top - PEAK_RADIUS_FRAMES, 0), min(top + PEAK_RADIUS_FRAMES + 1, len(scores)))
-    )
+    peak = find_peak(scores)
     noise = NOISE_CORRELATION / np.sqrt(min(len(first), len(second)))
-    lead = 2 * (peak - max(float(others.max(initial=0)), 0.0))
-    weight = float(np.clip(min((peak - noise) / max(1 - noise, 1e-9), lead), 0, 1))
-    fraction = 0.0
-    if 0 < top < len(scores) - 1:
-        left, right = float(scores[top - 1]), float(scores[top + 1])
-        curvature = left - 2 * peak + right
-        fraction = 0.5 * (left - right) / curvature if curvature < -1e-12 else 0.0
-    return top - max_lag + fraction, weight
+    weight = float(np.clip(min((peak.height - noise) / max(1 - noise, 1e-9), 2 * peak.lead), 0, 1))
+    return peak.position - max_lag, weight
 
 
 def _correlation(first: Array, second: Array, lag: int) -> float:

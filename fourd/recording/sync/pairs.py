@@ -3,11 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+PEAK_RADIUS = 3
+"""Values at most this many lags away from the highest one belong to the same peak."""
+
+
+@dataclass(frozen=True)
+class Peak:
+    """The highest value of a correlation over lags.
+
+    Attributes:
+        index: index of the highest value.
+        position: ``index``, moved by a fraction to the vertex of the parabola through the highest value and its
+            neighbours.
+        height: the highest value.
+        lead: difference to the highest value outside the peak, or to 0 if all of these are negative.
+    """
+
+    index: int
+    position: float
+    height: float
+    lead: float
+
+
+def find_peak(scores: Array) -> Peak:
+    """Find the peak of the correlations ``scores`` (L,) at L consecutive lags."""
+    top = int(scores.argmax())
+    height = float(scores[top])
+    others = np.delete(scores, np.arange(max(top - PEAK_RADIUS, 0), min(top + PEAK_RADIUS + 1, len(scores))))
+    lead = height - max(float(others.max(initial=0)), 0.0)
+    fraction = 0.0
+    if 0 < top < len(scores) - 1:
+        left, right = float(scores[top - 1]), float(scores[top + 1])
+        curvature = left - 2 * height + right
+        fraction = 0.5 * (left - right) / curvature if curvature < -1e-12 else 0.0
+    return Peak(top, top + fraction, height, lead)
 
 
 def solve_offsets(

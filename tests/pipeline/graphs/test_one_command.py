@@ -132,6 +132,25 @@ def test_the_scene_is_packed_and_its_page_is_written(
     assert SceneReader(scene).manifest.encoding is None
 
 
+def test_frames_that_the_capture_lacks_are_refused_before_the_repair(
+    ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches a mistake in --frames that is reported only after the repair, which takes minutes."""
+    assert main(["make", str(ball_capture), "-o", str(tmp_path / "scene.4dv"), "--frames", "0:9"]) == 2
+    printed = capsys.readouterr()
+    assert "--frames: expected A:B with 0 <= A < B <= 3, since the capture has 3 frames, got '0:9'" in printed.err
+    assert "check: finished" in printed.out
+    assert "repair: running" not in printed.out
+
+
+def test_offsets_for_a_capture_are_refused(
+    ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches an option --offset that is silently ignored, because the frames of a capture are already aligned."""
+    assert main(["make", str(ball_capture), "-o", str(tmp_path / "scene.4dv"), "--offset", "00=3"]) == 2
+    assert f"--offset: expected videos, got the capture {ball_capture}" in " ".join(capsys.readouterr().err.split())
+
+
 def test_calibrated_videos_are_imported_to_be_synchronised(tmp_path: Path) -> None:
     """Catches a folder of videos with a calibration whose offsets are never estimated, because it is a capture as it
     is, and an imported capture or one with mattes that is imported again."""
@@ -140,6 +159,7 @@ def test_calibrated_videos_are_imported_to_be_synchronised(tmp_path: Path) -> No
     for name in ("intri.yml", "extri.yml"):
         (folder / name).write_text("%YAML:1.0\n")
     assert needs_import(folder, ImportOptions(sync_if_possible=True))
+    assert needs_import(folder, ImportOptions(offsets={"cam0": 3.0}))
     assert not needs_import(folder, ImportOptions())
     (folder / ".fourd").mkdir()
     (folder / ".fourd" / "import.json").write_text("{}")

@@ -89,19 +89,37 @@ def serving(folder: Path, server_type: type[SiteServer] = SiteServer) -> Iterato
         thread.join()
 
 
-@pytest.fixture
-def open_page(browser: Any) -> Iterator[Callable[..., PlayerPage]]:
-    """A function that opens a page of a site. Pages are closed after the test."""
-    contexts = []
+@pytest.fixture(scope="session")
+def shared_page(browser: Any) -> Any:
+    """A page that one test after another uses. A page of its own costs a test more time than most tests need."""
+    return browser.new_page()
 
-    def open_one(url: str, size: tuple[int, int] = (320, 240), **options: Any) -> PlayerPage:
-        context = browser.new_context(viewport={"width": size[0], "height": size[1]}, **options)
-        contexts.append(context)
-        return PlayerPage(context.new_page(), url)
+
+@pytest.fixture
+def open_page(browser: Any, shared_page: Any) -> Iterator[Callable[..., PlayerPage]]:
+    """A function that opens a page of a site. Pages are closed after the test.
+
+    The function takes the address, the size (width, height) in pixels, `is_new`, and options of a browser context. The
+    first page of a test is a page of former tests, unless there are options or `is_new` is true. Tests that change more
+    than what the page stores and shows need a new page.
+    """
+    contexts, reused = [], []
+
+    def open_one(url: str, size: tuple[int, int] = (320, 240), is_new: bool = False, **options: Any) -> PlayerPage:
+        viewport = {"width": size[0], "height": size[1]}
+        if is_new or any(options.values()) or reused:
+            context = browser.new_context(viewport=viewport, **options)
+            contexts.append(context)
+            return PlayerPage(context.new_page(), url)
+        shared_page.set_viewport_size(viewport)
+        reused.append(PlayerPage(shared_page, url))
+        return reused[0]
 
     yield open_one
     for context in contexts:
         context.close()
+    for page in reused:
+        page.leave()
 
 
 @pytest.fixture

@@ -26,9 +26,19 @@ class PlayerPage:
     def __init__(self, page: Any, url: str) -> None:
         self.page = page
         self.problems: list[str] = []
-        page.on("pageerror", lambda error: self.problems.append(str(error)))
+        page.on("pageerror", self._collect_error)
         page.on("console", self._collect)
         page.goto(url)
+
+    def leave(self) -> None:
+        """Leave the page as empty as a new one."""
+        self.page.evaluate("() => { try { localStorage.clear(); sessionStorage.clear(); } catch {} }")
+        self.page.goto("about:blank")
+        self.page.remove_listener("pageerror", self._collect_error)
+        self.page.remove_listener("console", self._collect)
+
+    def _collect_error(self, error: Any) -> None:
+        self.problems.append(str(error))
 
     def _collect(self, message: Any) -> None:
         if not any(text in message.text for text in IGNORED):

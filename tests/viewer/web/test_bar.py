@@ -37,7 +37,7 @@ def test_controls_are_in_one_row(
     """Catches a bar that wraps and covers the scene, controls that are cut off, and buttons too small for a finger."""
     with serving(object_site) as server:
         page = open_page(server.url, size, has_touch=touch, is_mobile=touch)
-        page.ready()
+        page.pause(0)
         page.wait("!player.panel.styles.hidden")
         shown = controls(page)
     needed = {"Play or pause (Space)", "Full screen (F)", *(() if size == TINY else ("Time",))}
@@ -55,7 +55,7 @@ def test_a_button_shows_the_controls_without_room(object_site: Path, open_page: 
         wide = open_page(server.url, DESKTOP)
         page = open_page(server.url, PHONE, has_touch=True, is_mobile=True)
         for each in (wide, page):
-            each.ready()
+            each.pause(0)
             each.wait("!player.panel.styles.hidden")
         before = controls(page)
         page.page.get_by_role("button", name="More controls", expanded=False).tap()
@@ -78,7 +78,7 @@ def test_the_tab_key_follows_the_rows(
     """Catches a Tab key that jumps between the rows of controls instead of following them."""
     with serving(object_site) as server:
         page = open_page(server.url, DESKTOP)
-        page.ready()
+        page.pause(0)
         page.wait("!player.panel.styles.hidden")
         page.page.set_viewport_size({"width": size[0], "height": size[1]})
         page.wait(f"(player.panel.bar.firstChild === player.panel.extra) === {str(size != DESKTOP).lower()}")

@@ -64,7 +64,7 @@ def enter(open_page: Callable[..., PlayerPage], object_site: Path) -> Iterator[C
     with serving(object_site) as server:
 
         def open_one() -> PlayerPage:
-            page = open_page("about:blank", (2 * SIZE, SIZE))
+            page = open_page("about:blank", (2 * SIZE, SIZE), is_new=True)
             page.page.context.add_init_script(script)
             page.page.goto(server.url)
             page.pause(0)

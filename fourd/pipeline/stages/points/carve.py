@@ -16,6 +16,7 @@ from fourd.reconstruction.carving.rig_evidence import check_rig
 from fourd.reconstruction.training.cameras.selection import DECODED_MB, DataSelection, open_run_views
 from fourd.reconstruction.training.run_layout import BACKGROUND, CALIBRATION, COLOURS, HULL, HULL_QUALITY
 from fourd.recording.capture import Capture, open_capture
+from fourd.recording.importing.record import describe_unsure
 
 MIN_CAMERAS = 2
 SUSPICIOUS_SHARE = 0.85
@@ -147,7 +148,7 @@ def _measure_hull(capture: Capture, settings: CarveStageSettings, context: Conte
         if quality.kept_share < SUSPICIOUS_SHARE:
             check_rig(capture, verify=False).require(capture.path)
         if quality.kept_share > 0:
-            quality.require_hull(capture.path)
+            quality.require_hull(capture.path, describe_unsure(capture.path))
     return quality
 
 

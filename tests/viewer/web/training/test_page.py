@@ -92,6 +92,11 @@ def wait_for(page: Any, selector: str, text: str) -> None:
     page.wait_for_function(script, arg=[selector, text], timeout=TIMEOUT_MS)
 
 
+def show_again(page: Any) -> None:
+    """Tell the page that its tab is shown again. It then asks the server at once, and not only after its next pause."""
+    page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+
+
 def wait_for_curves(page: Any, chart: str, count: int) -> None:
     """Wait until a chart draws this number of curves. The page requests the curves after the state of the run."""
     script = "([selector, count]) => document.querySelectorAll(selector).length === count"
@@ -157,10 +162,13 @@ def test_a_restarted_server_and_its_token(
         wait_for(page, "#phase", "not training")
         assert page.url == server.url
         assert page.evaluate("document.cookie") == ""
+    show_again(page)
     wait_for(page, "#problem", "The server does not answer.")
     with serving(run, tmp_path / "again", port, TOKEN[::-1]):
+        show_again(page)
         wait_for(page, "#problem", "The token is wrong. Open the address that fourd serve has printed")
     with serving(run, tmp_path / "third", port, TOKEN):
+        show_again(page)
         page.wait_for_function("() => document.querySelector('#problem').hidden", timeout=TIMEOUT_MS)
     assert page.problems == []
 
