@@ -92,9 +92,10 @@ void require_outputs(const Call& call, const Array<Number, 1>& radius, const Arr
     require(colour.shape(0) == count && colour.shape(1) == 3, "colour: expected shape (points, 3)");
 }
 
-void require_hidden(const Call& call, std::size_t rows, std::size_t columns) {
-    require(rows == call.inputs.count && columns == static_cast<std::size_t>(call.sizes.first_stride()),
-            "hidden: expected shape (points, 3 * hidden), padded to a multiple of 48");
+void require_saved(const Call& call, std::size_t sh, std::size_t saved) {
+    require(sh == call.inputs.count * heads::kSh, "sh: expected shape (points, 48)");
+    require(saved == call.sizes.saved_size(call.inputs.count),
+            "saved: expected views + 4 * hidden numbers for each point, with hidden padded to a multiple of 16");
 }
 
 void forward(const Array<const float, 2>& features, const Array<const float, 3>& samples,
@@ -103,15 +104,14 @@ void forward(const Array<const float, 2>& features, const Array<const float, 3>&
              const Array<const float, 1>& spacing, const std::vector<AnyArray<const float>>& weights,
              const std::vector<float>& settings, int threads, const std::string& simd, const Array<float, 1>& radius,
              const Array<float, 1>& density, const Array<float, 2>& sh, const Array<float, 2>& colour,
-             const Array<float, 2>& hidden) {
+             const Array<float, 1>& saved) {
     const Call call = call_of(features, samples, visibility, view_weights, own, xyz, spacing, weights, settings,
                               threads, simd);
     require_outputs(call, radius, density, colour);
-    require(sh.size() == call.inputs.count * heads::kSh, "sh: expected shape (points, 48)");
-    require_hidden(call, hidden.shape(0), hidden.shape(1));
+    require_saved(call, sh.size(), saved.size());
     nb::gil_scoped_release release;
     heads::forward(call.sizes, call.settings, call.weights.data(), call.inputs, call.execution,
-                   {radius.data(), density.data(), sh.data(), colour.data(), hidden.data()});
+                   {radius.data(), density.data(), sh.data(), colour.data(), saved.data()});
 }
 
 void backward(const Array<const float, 2>& features, const Array<const float, 3>& samples,
@@ -120,15 +120,15 @@ void backward(const Array<const float, 2>& features, const Array<const float, 3>
               const Array<const float, 1>& spacing, const std::vector<AnyArray<const float>>& weights,
               const std::vector<float>& settings, int threads, const std::string& simd,
               const Array<const float, 1>& radius, const Array<const float, 1>& density,
-              const std::optional<Array<const float, 2>>& sh, const Array<const float, 2>& colour,
-              const Array<const float, 2>& hidden, const Array<float, 2>& out_features,
+              const std::optional<Array<const float, 2>>& grad_sh, const Array<const float, 2>& colour,
+              const Array<const float, 2>& sh, const Array<const float, 1>& saved, const Array<float, 2>& out_features,
               const Array<float, 3>& out_samples, const std::optional<Array<float, 2>>& out_own,
               const Array<float, 2>& out_xyz, const std::vector<AnyArray<float>>& out_weights) {
     const Call call = call_of(features, samples, visibility, view_weights, own, xyz, spacing, weights, settings,
                               threads, simd);
     require_outputs(call, radius, density, colour);
-    require(!sh || sh->size() == call.inputs.count * heads::kSh, "sh: expected shape (points, 48)");
-    require_hidden(call, hidden.shape(0), hidden.shape(1));
+    require(!grad_sh || grad_sh->size() == call.inputs.count * heads::kSh, "grad_sh: expected shape (points, 48)");
+    require_saved(call, sh.size(), saved.size());
     require(out_features.size() == features.size() && out_samples.size() == samples.size() &&
                 out_xyz.size() == xyz.size() && own.has_value() == out_own.has_value() &&
                 (!own || out_own->size() == own->size()),
@@ -138,7 +138,8 @@ void backward(const Array<const float, 2>& features, const Array<const float, 3>
     for (int i = 0; i < heads::kWeightCount; ++i) out.weights[i] = out_weights[i].data();
     nb::gil_scoped_release release;
     heads::backward(call.sizes, call.settings, call.weights.data(), call.inputs, call.execution,
-                    {radius.data(), density.data(), sh ? sh->data() : nullptr, colour.data(), hidden.data()}, out);
+                    {sh.data(), saved.data()},
+                    {radius.data(), density.data(), grad_sh ? grad_sh->data() : nullptr, colour.data()}, out);
 }
 
 }  // namespace
@@ -147,17 +148,17 @@ void bind_heads(nb::module_& module) {
     module.def("evaluate_heads", &forward, nb::arg("features"), nb::arg("samples"), nb::arg("visibility"),
                nb::arg("view_weights"), nb::arg("own").none(), nb::arg("xyz"), nb::arg("spacing"), nb::arg("weights"),
                nb::arg("settings"), nb::arg("threads"), nb::arg("simd"), nb::arg("radius"), nb::arg("density"),
-               nb::arg("sh"), nb::arg("colour"), nb::arg("hidden"),
+               nb::arg("sh"), nb::arg("colour"), nb::arg("saved"),
                "Sizes: features=N,F samples=V,C,N visibility=V,N view_weights=V own=N,3 xyz=N,3 spacing=N radius=N "
                "density=N sh=N,48 colour=N,3");
     module.def("evaluate_heads_backward", &backward, nb::arg("features"), nb::arg("samples"), nb::arg("visibility"),
                nb::arg("view_weights"), nb::arg("own").none(), nb::arg("xyz"), nb::arg("spacing"), nb::arg("weights"),
                nb::arg("settings"), nb::arg("threads"), nb::arg("simd"), nb::arg("grad_radius"),
-               nb::arg("grad_density"), nb::arg("grad_sh").none(), nb::arg("grad_colour"), nb::arg("hidden"),
-               nb::arg("out_features"), nb::arg("out_samples"), nb::arg("out_own").none(), nb::arg("out_xyz"),
+               nb::arg("grad_density"), nb::arg("grad_sh").none(), nb::arg("grad_colour"), nb::arg("sh"),
+               nb::arg("saved"), nb::arg("out_features"), nb::arg("out_samples"), nb::arg("out_own").none(), nb::arg("out_xyz"),
                nb::arg("out_weights"),
                "Sizes: features=N,F samples=V,C,N visibility=V,N view_weights=V own=N,3 xyz=N,3 spacing=N "
-               "grad_radius=N grad_density=N grad_sh=N,48 grad_colour=N,3 out_features=N,F out_samples=V,C,N "
+               "grad_radius=N grad_density=N grad_sh=N,48 grad_colour=N,3 sh=N,48 out_features=N,F out_samples=V,C,N "
                "out_own=N,3 out_xyz=N,3");
 }
 

@@ -26,6 +26,8 @@ struct Sizes {
 
     int hidden_stride() const { return padded(hidden); }
     int first_stride() const { return 3 * hidden_stride(); }
+    int saved_stride() const { return 4 * hidden_stride(); }
+    std::size_t saved_size(std::size_t count) const { return count * (saved_stride() + views); }
 };
 
 // The arrays of weights in torch's shapes (outputs, inputs), in the order in which Python passes them.
@@ -86,7 +88,7 @@ struct Outputs {
     float* density;  // Shape (count,).
     float* sh;       // Shape (count, kSh).
     float* colour;   // Shape (count, 3).
-    float* hidden;   // Shape (count, first_stride()): outputs of the first layers, for the gradient.
+    float* saved;    // saved_size(count) numbers for the gradient.
 };
 
 // Gradients of the loss with respect to Outputs.
@@ -95,7 +97,12 @@ struct Upstream {
     const float* density;
     const float* sh;  // Null if the loss does not depend on the SH coefficients themselves.
     const float* colour;
-    const float* hidden;  // Outputs::hidden.
+};
+
+// What forward() has computed, which backward() reads.
+struct Saved {
+    const float* sh;     // Outputs::sh.
+    const float* saved;  // Outputs::saved.
 };
 
 // Gradients of the loss with respect to Inputs, in the same shapes.
@@ -116,6 +123,6 @@ void forward(const Sizes& sizes, const Settings& settings, const float* const* w
              const Execution& execution, const Outputs& out);
 
 void backward(const Sizes& sizes, const Settings& settings, const float* const* weights, const Inputs& inputs,
-              const Execution& execution, const Upstream& upstream, const Gradients& out);
+              const Execution& execution, const Saved& saved, const Upstream& upstream, const Gradients& out);
 
 }  // namespace fourd::heads

@@ -1,7 +1,6 @@
 #include "heads/heads.h"
 
 #include <algorithm>
-#include <vector>
 
 #include "common/buffer.h"
 #include "common/team.h"
@@ -41,7 +40,6 @@ Packed place_packed(const Sizes& sizes, Arena& arena) {
     out.second_columns = arena.take(h * h);
     out.second_bias = arena.take(h);
     out.last = arena.take(2 * h);
-    out.last_columns = arena.take(h * kPad);
     out.last_bias = arena.take(kPad);
     out.image = arena.take(h * c);
     out.image_columns = arena.take(c * h);
@@ -54,9 +52,9 @@ Packed place_packed(const Sizes& sizes, Arena& arena) {
 }
 
 Sums place_sums(const Sizes& sizes, Arena& arena) {
-    const std::size_t h = sizes.hidden_stride(), first = sizes.first_stride(), f = padded(sizes.features);
+    const std::size_t h = sizes.hidden_stride(), first = sizes.first_stride();
     Sums out;
-    out.first = arena.take(first * f);
+    out.first_columns = arena.take(sizes.features * first);
     out.first_bias = arena.take(first);
     out.second = arena.take(h * h);
     out.second_bias = arena.take(h);
@@ -74,19 +72,14 @@ Workspace place_workspace(const Sizes& sizes, Arena& arena) {
     const std::size_t h = sizes.hidden_stride(), first = sizes.first_stride(), f = padded(sizes.features);
     const std::size_t c = padded(sizes.channels), views = sizes.views;
     Workspace out;
-    out.features = arena.take(kBlock * f);
-    out.first = arena.take(kBlock * first);
     out.grad_first = arena.take(kBlock * first);
-    out.second = arena.take(kBlock * h);
     out.back = arena.take(kBlock * h);
     out.wide = arena.take(kBlock * std::max(f, c));
-    out.last = arena.take(kBlock * kPad);
-    out.sh = arena.take(kBlock * kSh);
+    out.grad_last = arena.take(2 * kBlock);
     out.grad_sh = arena.take(kBlock * kSh);
-    out.samples = arena.take(sizes.channels * kBlock);
-    out.logits = arena.take(views * kBlock);
+    out.grad_logits = arena.take(views * kBlock);
     out.weights = arena.take(views * kBlock);
-    out.colours = arena.take(views * 3 * kBlock);
+    out.grad_mixed = arena.take(views * 3 * kBlock);
     out.basis = arena.take(kShTerms * kBlock);
     out.grad_colour = arena.take(3 * kBlock);
     out.tanhs = arena.take(3 * kBlock);
@@ -128,7 +121,6 @@ class PackedWeights {
         copy_rows(weights[kGeometrySecond], shape(kGeometrySecond), packed_.second, h);
         copy_columns(weights[kGeometrySecond], shape(kGeometrySecond), packed_.second_columns, h);
         copy_rows(weights[kGeometryLast], shape(kGeometryLast), packed_.last, h);
-        copy_columns(weights[kGeometryLast], shape(kGeometryLast), packed_.last_columns, kPad);
         copy_rows(weights[kBlendImage], shape(kBlendImage), packed_.image, padded(sizes.channels));
         copy_columns(weights[kBlendImage], shape(kBlendImage), packed_.image_columns, h);
         copy_rows(weights[kShLast], shape(kShLast), packed_.sh, h);
@@ -175,22 +167,26 @@ void copy_out_rows(const float* from, std::size_t step, Shape shape, float* to) 
     for (int r = 0; r < shape.rows; ++r) std::copy_n(from + r * step, shape.columns, to + r * shape.columns);
 }
 
+// Writes columns of `step` floats to a matrix of torch.
+void copy_out_columns(const float* from, std::size_t step, Shape shape, float* to) {
+    for (int r = 0; r < shape.rows; ++r) {
+        for (int k = 0; k < shape.columns; ++k) to[r * shape.columns + k] = from[k * step + r];
+    }
+}
+
 // Writes the sums to arrays in torch's shapes.
 void unpack(const Sizes& sizes, const Sums& sums, float* const* out) {
-    const std::size_t h = sizes.hidden_stride(), f = padded(sizes.features);
+    const std::size_t h = sizes.hidden_stride(), first = sizes.first_stride();
     const auto shape = [&](int weight) { return weight_shape(sizes, weight); };
     for (int part = 0; part < 3; ++part) {
-        copy_out_rows(sums.first + part * h * f, f, shape(kFirstLayers[part][0]), out[kFirstLayers[part][0]]);
+        const int weight = kFirstLayers[part][0];
+        copy_out_columns(sums.first_columns + part * h, first, shape(weight), out[weight]);
         std::copy_n(sums.first_bias + part * h, sizes.hidden, out[kFirstLayers[part][1]]);
     }
     copy_out_rows(sums.second, h, shape(kGeometrySecond), out[kGeometrySecond]);
     copy_out_rows(sums.last, h, shape(kGeometryLast), out[kGeometryLast]);
     copy_out_rows(sums.sh, h, shape(kShLast), out[kShLast]);
-    for (int r = 0; r < sizes.hidden; ++r) {
-        for (int c = 0; c < sizes.channels; ++c) {
-            out[kBlendImage][r * sizes.channels + c] = sums.image_columns[c * h + r];
-        }
-    }
+    copy_out_columns(sums.image_columns, h, shape(kBlendImage), out[kBlendImage]);
     std::copy_n(sums.second_bias, sizes.hidden, out[kGeometrySecondBias]);
     std::copy_n(sums.last_bias, 2, out[kGeometryLastBias]);
     std::copy_n(sums.out, sizes.hidden, out[kBlendOut]);
@@ -212,7 +208,7 @@ void forward(const Sizes& sizes, const Settings& settings, const float* const* w
 }
 
 void backward(const Sizes& sizes, const Settings& settings, const float* const* weights, const Inputs& inputs,
-              const Execution& execution, const Upstream& upstream, const Gradients& out) {
+              const Execution& execution, const Saved& saved, const Upstream& upstream, const Gradients& out) {
     const Loops& loops = select_loops(execution.simd);
     const PackedWeights packed(sizes, weights);
     const Job job{&sizes, &settings, &packed.get(), &inputs};
@@ -220,11 +216,12 @@ void backward(const Sizes& sizes, const Settings& settings, const float* const* 
     place_sums(sizes, count);
     const std::size_t size = count.used(), per_task = points_per_task(inputs.count);
     const std::size_t tasks = std::max<std::size_t>(1, (inputs.count + per_task - 1) / per_task);
-    std::vector<float> sums(tasks * size, 0.0f);
+    Buffer<float> sums(tasks * size);
+    std::fill_n(sums.data(), sums.size(), 0.0f);
     Team team(execution.threads);
     for_blocks(team, sizes, inputs.count, [&](int task, const Workspace& space, std::size_t first, int count) {
         Arena arena(sums.data() + task * size);
-        loops.backward(job, space, first, count, upstream, out, place_sums(sizes, arena));
+        loops.backward(job, space, first, count, saved, upstream, out, place_sums(sizes, arena));
     });
     // The sums of all tasks are added in the order of the tasks.
     run_parts(team, size, 4096, [&](std::size_t begin, std::size_t end) {

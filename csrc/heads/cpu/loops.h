@@ -16,7 +16,7 @@ constexpr int kBlock = 64;  // Points per block.
 struct Packed {
     float *first, *first_columns, *first_bias;     // Shapes (3 * hidden, features), (features, 3 * hidden).
     float *second, *second_columns, *second_bias;  // Shapes (hidden, hidden).
-    float *last, *last_columns, *last_bias;        // Shapes (2, hidden) and (hidden, 2).
+    float *last, *last_bias;                       // Shape (2, hidden).
     float *image, *image_columns;                  // Shapes (hidden, channels) and (channels, hidden).
     float *out, *out_bias;                         // Shapes (hidden,) and (1,).
     float *sh, *sh_columns, *sh_bias;              // Shapes (kSh, hidden) and (hidden, kSh).
@@ -24,24 +24,20 @@ struct Packed {
 
 // Sums of the gradient of the weights over some points, in the layouts of Packed with the same names.
 struct Sums {
-    float *first, *first_bias, *second, *second_bias, *last, *last_bias, *image_columns, *out, *out_bias, *sh, *sh_bias;
+    float *first_columns, *first_bias, *second, *second_bias, *last, *last_bias, *image_columns, *out, *out_bias, *sh,
+        *sh_bias;
 };
 
 // Memory for one block. Rows have the strides of Packed.
 struct Workspace {
-    float* features;     // Shape (kBlock, features).
-    float* first;        // Shape (kBlock, 3 * hidden).
     float* grad_first;   // Shape (kBlock, 3 * hidden).
-    float* second;       // Shape (kBlock, hidden).
     float* back;         // Shape (kBlock, hidden).
     float* wide;         // Shape (kBlock, features) or (kBlock, channels), whichever is larger.
-    float* last;         // Shape (kBlock, kPad).
-    float* sh;           // Shape (kBlock, kSh).
+    float* grad_last;    // Shape (2, kBlock).
     float* grad_sh;      // Shape (kBlock, kSh).
-    float* samples;      // Shape (channels, kBlock).
-    float* logits;       // Shape (views, kBlock).
+    float* grad_logits;  // Shape (views, kBlock).
     float* weights;      // Shape (views, kBlock).
-    float* colours;      // Shape (views, 3, kBlock).
+    float* grad_mixed;   // Shape (views, 3, kBlock).
     float* basis;        // Shape (kShTerms, kBlock).
     float* grad_colour;  // Shape (3, kBlock).
     float* tanhs;        // Shape (3, kBlock).
@@ -59,8 +55,8 @@ struct Loops {
     void (*forward)(const Job& job, const Workspace& space, std::size_t first, int count, const Outputs& out);
 
     // Writes the gradients of the inputs of the same points, and adds the gradient of the weights to `sums`.
-    void (*backward)(const Job& job, const Workspace& space, std::size_t first, int count, const Upstream& upstream,
-                     const Gradients& out, const Sums& sums);
+    void (*backward)(const Job& job, const Workspace& space, std::size_t first, int count, const Saved& saved,
+                     const Upstream& upstream, const Gradients& out, const Sums& sums);
 };
 
 FOURD_DISPATCH(Loops, Simd::avx512)

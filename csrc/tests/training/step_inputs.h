@@ -41,15 +41,14 @@ inline void run_heads(unsigned seed, const char* simd) {
     const heads::Settings settings{0.5f, 6, -1, 5, 5, 0.25f, seed % 2 ? 0.6f : 0.0f, 1e-3f, {0, 0, -3}};
     const heads::Execution execution{random_int(random, 1, 4), simd_named(simd)};
     Floats radius(count), density(count), sh(count * heads::kSh), colour(3 * count);
-    Floats hidden(count * sizes.first_stride());
+    Floats saved(sizes.saved_size(count));
     heads::forward(sizes, settings, pointers.data(), inputs, execution,
-                   {radius.data(), density.data(), sh.data(), colour.data(), hidden.data()});
+                   {radius.data(), density.data(), sh.data(), colour.data(), saved.data()});
     Floats to_features(features.size()), to_samples(samples.size()), to_own(own.size()), to_xyz(xyz.size());
     out.features = to_features.data(), out.samples = to_samples.data(), out.xyz = to_xyz.data();
     out.own = inputs.own ? to_own.data() : nullptr;
-    const heads::Upstream upstream{radius.data(), density.data(), seed % 2 ? sh.data() : nullptr, colour.data(),
-                                   hidden.data()};
-    heads::backward(sizes, settings, pointers.data(), inputs, execution, upstream, out);
+    const heads::Upstream upstream{radius.data(), density.data(), seed % 2 ? sh.data() : nullptr, colour.data()};
+    heads::backward(sizes, settings, pointers.data(), inputs, execution, {sh.data(), saved.data()}, upstream, out);
     if (hostile > 0) return;
     expect_finite(colour, "colours of heads", seed);
     for (const Floats& gradient : gradients) expect_finite(gradient, "gradients of weights", seed);

@@ -45,7 +45,7 @@ struct HeadsWork {
     Layers layers;
     std::size_t count;
     Floats features, samples, visibility, shares, own, xyz, spacing;
-    Floats radius, density, sh, colour, hidden, to_features, to_samples, to_own, to_xyz;
+    Floats radius, density, sh, colour, saved, to_features, to_samples, to_own, to_xyz;
 
     HeadsWork(std::size_t points, heads::Execution how)
         : execution(how),
@@ -66,7 +66,7 @@ struct HeadsWork {
           density(count),
           sh(count * heads::kSh),
           colour(3 * count),
-          hidden(count * sizes.first_stride()),
+          saved(sizes.saved_size(count)),
           to_features(features.size()),
           to_samples(samples.size()),
           to_own(own.size()),
@@ -79,14 +79,15 @@ struct HeadsWork {
 
     void forward() {
         heads::forward(sizes, settings, layers.inputs().data(), inputs(), execution,
-                       {radius.data(), density.data(), sh.data(), colour.data(), hidden.data()});
+                       {radius.data(), density.data(), sh.data(), colour.data(), saved.data()});
     }
 
     void backward() {
         heads::Gradients out{to_features.data(), to_samples.data(), to_own.data(), to_xyz.data(), {}};
         for (int i = 0; i < heads::kWeightCount; ++i) out.weights[i] = layers.gradients[i].data();
-        const heads::Upstream upstream{radius.data(), density.data(), sh.data(), colour.data(), hidden.data()};
-        heads::backward(sizes, settings, layers.inputs().data(), inputs(), execution, upstream, out);
+        const heads::Upstream upstream{radius.data(), density.data(), sh.data(), colour.data()};
+        heads::backward(sizes, settings, layers.inputs().data(), inputs(), execution, {sh.data(), saved.data()},
+                        upstream, out);
     }
 };
 

@@ -68,11 +68,14 @@ def evaluate_heads(
     return radius, density, sh, colour
 
 
-def _empty_outputs(features: Tensor, weights: list[Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+def _empty_outputs(
+    features: Tensor, samples: Tensor, weights: list[Tensor]
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     count, hidden = features.shape[0], -(-weights[1].shape[0] // PADDING) * PADDING
-    shapes = ((count,), (count,), (count, SH_COEFFICIENTS), (count, 3), (count, 3 * hidden))
-    radius, density, sh, colour, first = (uninitialised(features, *shape) for shape in shapes)
-    return radius, density, sh, colour, first
+    saved_size = count * (4 * hidden + samples.shape[0])
+    shapes = ((count,), (count,), (count, SH_COEFFICIENTS), (count, 3), (saved_size,))
+    radius, density, sh, colour, saved = (uninitialised(features, *shape) for shape in shapes)
+    return radius, density, sh, colour, saved
 
 
 def _arguments(inputs: Inputs) -> list[Any]:
@@ -94,8 +97,8 @@ def _evaluate(
     weights: list[Tensor],
     settings: list[float],
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Compute radius, density, SH, colour and the outputs of the first layers, which the gradient needs."""
-    out = _empty_outputs(features, weights)
+    """Compute radius, density, SH, colour, and what the gradient needs: the hidden layers and the blend logits."""
+    out = _empty_outputs(features, samples, weights)
     inputs = (features, samples, visibility, view_weights, own, xyz, spacing, weights, settings)
     load_native().evaluate_heads(*_arguments(inputs), *(as_array(each) for each in out))
     return out
@@ -125,7 +128,8 @@ def _evaluate_backward(
     grad_density: Tensor,
     grad_sh: Tensor | None,
     grad_colour: Tensor,
-    hidden: Tensor,
+    sh: Tensor,
+    saved: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, list[Tensor]]:
     """Compute the gradients of features, samples, own colours, positions and weights. Without own colours, their
     gradient has no rows."""
@@ -137,7 +141,8 @@ def _evaluate_backward(
         as_array(grad_density),
         None if grad_sh is None else as_array(grad_sh),
         as_array(grad_colour),
-        as_array(hidden),
+        as_array(sh),
+        as_array(saved),
         as_array(out[0]),
         as_array(out[1]),
         None if own is None else as_array(out[2]),
@@ -152,7 +157,7 @@ def _setup(ctx: Any, inputs: Inputs, output: tuple[Tensor, Tensor, Tensor, Tenso
     ctx.set_materialize_grads(False)
     ctx.mark_non_differentiable(output[4])
     points = (features, samples, visibility, view_weights, xyz, spacing)
-    ctx.save_for_backward(*points, output[4], *([] if own is None else [own]), *weights)
+    ctx.save_for_backward(*points, output[2], output[4], *([] if own is None else [own]), *weights)
     ctx.has_own = own is not None
     ctx.settings = settings
 
@@ -165,7 +170,7 @@ def _backward(
     grad_colour: Tensor | None,
     _: Tensor | None,
 ) -> tuple[Any, ...]:
-    features, samples, visibility, view_weights, xyz, spacing, hidden, *rest = ctx.saved_tensors
+    features, samples, visibility, view_weights, xyz, spacing, sh, saved, *rest = ctx.saved_tensors
     own = rest[0] if ctx.has_own else None
     weights = rest[1:] if ctx.has_own else rest
     upstream = [
@@ -175,7 +180,7 @@ def _backward(
         torch.zeros_like(xyz) if grad_colour is None else grad_colour,
     ]
     to_features, to_samples, to_own, to_xyz, to_weights = _evaluate_backward(
-        features, samples, visibility, view_weights, own, xyz, spacing, weights, ctx.settings, *upstream, hidden
+        features, samples, visibility, view_weights, own, xyz, spacing, weights, ctx.settings, *upstream, sh, saved
     )
     return to_features, to_samples, None, None, to_own if ctx.has_own else None, to_xyz, None, to_weights, None
 
