@@ -60,7 +60,7 @@ inline void blend_logits(const Job& job, const Rows& point, std::size_t first, i
 
 // What the gradient of a view's hidden layer reads and writes.
 struct BlendStep {
-    const float *to_raw, *weights;  // The gradients of the points' logits before tanh, and the weights of the last layer.
+    const float *to_raw, *weights;  // The gradients of the logits before tanh, and the weights of the last layer.
     float *hidden, *point, *out;    // Gradients: of the hidden layer, which is written, and of its part that all views
                                     // share and of the last layer's weights, to which is added.
     std::size_t hidden_step, point_step;
@@ -121,8 +121,8 @@ inline void blend_backward(const Job& job, const Workspace& space, const Shapes&
         for (; u + 2 * kNative <= hidden; u += 2 * kNative) blend_panel_backward<2>(samples, layer, step, count, u);
         for (; u < hidden; u += kNative) blend_panel_backward<1>(samples, layer, step, count, u);
         add_product(transposed(samples), channels, space.back, rows, count, sums.image_columns, rows, hidden);
-        product(rows_of(space.back, rows), count, {job.packed->image, wide, at.sizes.hidden, kZeros, kZeros}, space.wide,
-                wide, at.channels);
+        product(rows_of(space.back, rows), count, {job.packed->image, wide, at.sizes.hidden, kZeros, kZeros},
+                space.wide, wide, at.channels);
         float* to = out.samples + static_cast<std::size_t>(view) * channels * points + first;
         const float* colours = space.grad_mixed + view * 3 * kBlock;
         for (int c = 0; c < channels; ++c, to += points) {

@@ -1,9 +1,11 @@
 #include "heads/heads.h"
 
 #include <algorithm>
+#include <vector>
 
 #include "common/buffer.h"
 #include "common/team.h"
+#include "heads/cpu/lines.h"
 #include "heads/cpu/loops.h"
 
 namespace fourd::heads {
@@ -51,7 +53,7 @@ Packed place_packed(const Sizes& sizes, Arena& arena) {
     return out;
 }
 
-Sums place_sums(const Sizes& sizes, Arena& arena) {
+Sums place_sums(const Sizes& sizes, std::size_t knots, Arena& arena) {
     const std::size_t h = sizes.hidden_stride(), first = sizes.first_stride();
     Sums out;
     out.first_columns = arena.take(sizes.features * first);
@@ -65,6 +67,7 @@ Sums place_sums(const Sizes& sizes, Arena& arena) {
     out.out_bias = arena.take(1);
     out.sh = arena.take(kSh * h);
     out.sh_bias = arena.take(kSh);
+    out.tables = arena.take(knots * first);
     return out;
 }
 
@@ -86,6 +89,17 @@ Workspace place_workspace(const Sizes& sizes, Arena& arena) {
     return out;
 }
 
+// The inputs of the first layers that are features, and not sampled from time planes.
+std::vector<int> feature_columns(const Sizes& sizes, const TimePlanes& planes) {
+    std::vector<char> is_feature(sizes.inputs, 1);
+    for (int k = 0; k < planes.count; ++k) std::fill_n(&is_feature[planes.at[k].column], planes.features, 0);
+    std::vector<int> out;
+    for (int column = 0; column < sizes.inputs; ++column) {
+        if (is_feature[column]) out.push_back(column);
+    }
+    return out;
+}
+
 // Copies a matrix of torch (outputs, inputs) to rows of `step` floats.
 void copy_rows(const float* from, Shape shape, float* to, std::size_t step) {
     for (int r = 0; r < shape.rows; ++r) std::copy_n(from + r * shape.columns, shape.columns, to + r * step);
@@ -103,7 +117,7 @@ constexpr int kFirstLayers[3][2] = {
 // The weights in the layouts of the loops.
 class PackedWeights {
   public:
-    PackedWeights(const Sizes& sizes, const float* const* weights) {
+    PackedWeights(const Sizes& sizes, const float* const* weights, const std::vector<int>& columns) {
         Arena count;
         place_packed(sizes, count);
         memory_ = Buffer<float>(count.used());
@@ -114,8 +128,12 @@ class PackedWeights {
         const auto shape = [&](int weight) { return weight_shape(sizes, weight); };
         for (int part = 0; part < 3; ++part) {
             const int weight = kFirstLayers[part][0];
-            copy_rows(weights[weight], shape(weight), packed_.first + part * h * f, f);
-            copy_columns(weights[weight], shape(weight), packed_.first_columns + part * h, first);
+            for (int r = 0; r < sizes.hidden; ++r) {
+                for (int k = 0; k < sizes.features; ++k) {
+                    const float value = weights[weight][r * sizes.inputs + columns[k]];
+                    packed_.first[(part * h + r) * f + k] = packed_.first_columns[k * first + part * h + r] = value;
+                }
+            }
             std::copy_n(weights[kFirstLayers[part][1]], sizes.hidden, packed_.first_bias + part * h);
         }
         copy_rows(weights[kGeometrySecond], shape(kGeometrySecond), packed_.second, h);
@@ -175,12 +193,16 @@ void copy_out_columns(const float* from, std::size_t step, Shape shape, float* t
 }
 
 // Writes the sums to arrays in torch's shapes.
-void unpack(const Sizes& sizes, const Sums& sums, float* const* out) {
+void unpack(const Sizes& sizes, const std::vector<int>& columns, const Sums& sums, float* const* out) {
     const std::size_t h = sizes.hidden_stride(), first = sizes.first_stride();
     const auto shape = [&](int weight) { return weight_shape(sizes, weight); };
     for (int part = 0; part < 3; ++part) {
         const int weight = kFirstLayers[part][0];
-        copy_out_columns(sums.first_columns + part * h, first, shape(weight), out[weight]);
+        for (int r = 0; r < sizes.hidden; ++r) {
+            for (int k = 0; k < sizes.features; ++k) {
+                out[weight][r * sizes.inputs + columns[k]] = sums.first_columns[k * first + part * h + r];
+            }
+        }
         std::copy_n(sums.first_bias + part * h, sizes.hidden, out[kFirstLayers[part][1]]);
     }
     copy_out_rows(sums.second, h, shape(kGeometrySecond), out[kGeometrySecond]);
@@ -199,8 +221,10 @@ void unpack(const Sizes& sizes, const Sums& sums, float* const* out) {
 void forward(const Sizes& sizes, const Settings& settings, const float* const* weights, const Inputs& inputs,
              const Execution& execution, const Outputs& out) {
     const Loops& loops = select_loops(execution.simd);
-    const PackedWeights packed(sizes, weights);
-    const Job job{&sizes, &settings, &packed.get(), &inputs};
+    const std::vector<int> columns = feature_columns(sizes, inputs.time_planes);
+    const PackedWeights packed(sizes, weights, columns);
+    const TimeTables tables(sizes, inputs.time_planes, weights, loops);
+    const Job job{&sizes, &settings, &packed.get(), &inputs, tables.get()};
     Team team(execution.threads);
     for_blocks(team, sizes, inputs.count, [&](int, const Workspace& space, std::size_t first, int count) {
         loops.forward(job, space, first, count, out);
@@ -210,10 +234,12 @@ void forward(const Sizes& sizes, const Settings& settings, const float* const* w
 void backward(const Sizes& sizes, const Settings& settings, const float* const* weights, const Inputs& inputs,
               const Execution& execution, const Saved& saved, const Upstream& upstream, const Gradients& out) {
     const Loops& loops = select_loops(execution.simd);
-    const PackedWeights packed(sizes, weights);
-    const Job job{&sizes, &settings, &packed.get(), &inputs};
+    const std::vector<int> columns = feature_columns(sizes, inputs.time_planes);
+    const PackedWeights packed(sizes, weights, columns);
+    const TimeTables tables(sizes, inputs.time_planes, weights, loops);
+    const Job job{&sizes, &settings, &packed.get(), &inputs, tables.get()};
     Arena count;
-    place_sums(sizes, count);
+    place_sums(sizes, tables.knots(), count);
     const std::size_t size = count.used(), per_task = points_per_task(inputs.count);
     const std::size_t tasks = std::max<std::size_t>(1, (inputs.count + per_task - 1) / per_task);
     Buffer<float> sums(tasks * size);
@@ -221,7 +247,8 @@ void backward(const Sizes& sizes, const Settings& settings, const float* const* 
     Team team(execution.threads);
     for_blocks(team, sizes, inputs.count, [&](int task, const Workspace& space, std::size_t first, int count) {
         Arena arena(sums.data() + task * size);
-        loops.backward(job, space, first, count, saved, upstream, out, place_sums(sizes, arena));
+        loops.backward(job, space, first, count, saved, upstream, out,
+                       place_sums(sizes, tables.knots(), arena));
     });
     // The sums of all tasks are added in the order of the tasks.
     run_parts(team, size, 4096, [&](std::size_t begin, std::size_t end) {
@@ -230,7 +257,9 @@ void backward(const Sizes& sizes, const Settings& settings, const float* const* 
         }
     });
     Arena arena(sums.data());
-    unpack(sizes, place_sums(sizes, arena), out.weights);
+    const Sums total = place_sums(sizes, tables.knots(), arena);
+    unpack(sizes, columns, total, out.weights);
+    if (tables.get()) tables.write_gradients(total.tables, out.time_planes, out.weights);
 }
 
 }  // namespace fourd::heads

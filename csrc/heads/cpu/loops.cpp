@@ -63,6 +63,7 @@ struct SavedBlock {
 };
 
 #include "heads/cpu/mixing.h"
+#include "heads/cpu/tables.h"
 #include "heads/cpu/blend.h"
 
 // The viewing directions of a block, with the lengths of the vectors that they normalise.
@@ -134,9 +135,15 @@ inline void hidden_layers(const Job& job, const Shapes& at, std::size_t first, i
     const Packed& packed = *job.packed;
     const std::size_t wide = at.first, narrow = at.hidden;
     const Strided features = rows_of(job.inputs->features + first * at.sizes.features, at.sizes.features);
+    if (job.tables) {
+        Places places;
+        locate(job, first, count, &places);
+        interpolate_tables(job, places, count, saved.rows, saved.step);
+    }
     const auto layer = [&](int part) FOURD_INLINE_LAMBDA {
         const int column = part * at.hidden;
-        return Product{packed.first_columns + column, wide, at.sizes.features, {packed.first_bias + column, 0}, kZeros};
+        const Rows start = job.tables ? Rows{saved.rows + column, saved.step} : Rows{packed.first_bias + column, 0};
+        return Product{packed.first_columns + column, wide, at.sizes.features, start, kZeros};
     };
     product<Finish::rectify>(features, count, layer(0), saved.geometry(), saved.step, at.hidden);
     product(features, count, layer(1), saved.blend(), saved.step, at.hidden);
@@ -254,6 +261,11 @@ inline void first_backward(const Job& job, const Workspace& space, const Shapes&
     add_product(columns_of(job.inputs->features + first * width, width), at.sizes.features, space.grad_first, wide,
                 count, sums.first_columns, wide, at.first);
     add_product(ones(), 1, space.grad_first, wide, count, sums.first_bias, wide, at.first);
+    if (job.tables) {
+        Places places;
+        locate(job, first, count, &places);
+        scatter_to_tables(job, places, count, space.grad_first, sums.tables);
+    }
     product(rows_of(space.grad_first, wide), count,
             {job.packed->first, static_cast<std::size_t>(at.features), at.first, kZeros, kZeros}, space.wide,
             at.features, at.features);
@@ -289,8 +301,14 @@ void backward(const Job& job, const Workspace& space, std::size_t first, int cou
     first_backward(job, space, at, first, count, out, sums);
 }
 
+void multiply(const Factors& factors, float* to) {
+    const std::size_t step = factors.a_step, columns = factors.columns;
+    const Strided a = factors.is_transposed ? columns_of(factors.a, step) : rows_of(factors.a, step);
+    product(a, factors.rows, {factors.b, columns, factors.depth, kZeros, kZeros}, to, columns, factors.columns);
+}
+
 }  // namespace
 
-const Loops loops = {forward, backward};
+const Loops loops = {forward, backward, multiply};
 
 }  // namespace fourd::heads::FOURD_SIMD

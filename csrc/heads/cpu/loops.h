@@ -10,6 +10,20 @@ namespace fourd::heads {
 
 constexpr int kBlock = 64;  // Points per block.
 
+// The part of the first layers that time planes contribute, along one axis of space. It is linear between knots, the
+// samples of all planes along the axis, so a point needs only the values at two knots. At a knot, the value is the
+// product of the planes' features and the layers' weights.
+struct AxisTable {
+    const float* values;     // Shape (knots, 3 * hidden).
+    const float* positions;  // Shape (knots,), ascending from -1 to 1.
+    const float* scales;     // Shape (knots - 1,): 1 over the distance to the next knot.
+    const int* starts;       // Shape (kBuckets,): the last knot at or before the start of each equal part of [-1, 1].
+    int knots;
+    std::size_t first;       // Index of the table's first knot among those of all axes.
+};
+
+constexpr int kBuckets = 512;
+
 // The weights in the layouts that the loops read. Rows are padded with zeros to strides that are multiples of kPad.
 // "Rows" are the arrays of torch (outputs, inputs), which the gradient reads. "Columns" are their transposes, which the
 // forward pass reads. The arrays of the three first layers are below each other, geometry, blend and SH.
@@ -25,7 +39,7 @@ struct Packed {
 // Sums of the gradient of the weights over some points, in the layouts of Packed with the same names.
 struct Sums {
     float *first_columns, *first_bias, *second, *second_bias, *last, *last_bias, *image_columns, *out, *out_bias, *sh,
-        *sh_bias;
+        *sh_bias, *tables;  // The tables have the shape (knots of all axes, 3 * hidden).
 };
 
 // Memory for one block. Rows have the strides of Packed.
@@ -48,6 +62,15 @@ struct Job {
     const Settings* settings;
     const Packed* packed;
     const Inputs* inputs;
+    const AxisTable* tables;  // Shape (3,), or null without time planes.
+};
+
+// Row-major matrices a (rows, depth), or (depth, rows) if it is transposed, and b (depth, columns). The number of
+// columns of b is a multiple of kPad.
+struct Factors {
+    const float *a, *b;
+    int rows, depth, columns, a_step;
+    bool is_transposed;
 };
 
 struct Loops {
@@ -57,6 +80,9 @@ struct Loops {
     // Writes the gradients of the inputs of the same points, and adds the gradient of the weights to `sums`.
     void (*backward)(const Job& job, const Workspace& space, std::size_t first, int count, const Saved& saved,
                      const Upstream& upstream, const Gradients& out, const Sums& sums);
+
+    // Writes the product a * b to `to` (rows, columns).
+    void (*multiply)(const Factors& factors, float* to);
 };
 
 FOURD_DISPATCH(Loops, Simd::avx512)

@@ -36,15 +36,18 @@ struct Layers {
     }
 };
 
-// Points with random features and samples, and room for all results of the networks.
+// Points with random features and samples, time planes, and room for all results of the networks.
 struct HeadsWork {
-    heads::Sizes sizes{144, 64, 11, 4};
+    heads::Sizes sizes{72, 64, 11, 4, 144};
     heads::Settings settings{0.5f, 6, -1, 5, 5, 0.25f, 0.6f, 1e-3f, {0, 0, -3}};
     heads::Execution execution;
     Random random{8};
     Layers layers;
     std::size_t count;
-    Floats features, samples, visibility, shares, own, xyz, spacing;
+    std::vector<Floats> plane_values, plane_gradients;
+    std::vector<heads::TimePlane> planes;
+    std::vector<float*> to_planes;
+    Floats coordinates, features, samples, visibility, shares, own, xyz, spacing;
     Floats radius, density, sh, colour, saved, to_features, to_samples, to_own, to_xyz;
 
     HeadsWork(std::size_t points, heads::Execution how)
@@ -55,6 +58,7 @@ struct HeadsWork {
                      return static_cast<std::size_t>(shape.rows) * shape.columns;
                  }),
           count(points),
+          coordinates(4 * count),
           features(random_floats(random, count * sizes.features, -1, 1, 0)),
           samples(random_floats(random, sizes.views * sizes.channels * count, 0, 1, 0)),
           visibility(random_floats(random, sizes.views * count, 0, 1, 0)),
@@ -70,11 +74,29 @@ struct HeadsWork {
           to_features(features.size()),
           to_samples(samples.size()),
           to_own(own.size()),
-          to_xyz(xyz.size()) {}
+          to_xyz(xyz.size()) {
+        // Points in Morton order: successive points are close to each other.
+        for (std::size_t i = 0; i < coordinates.size(); ++i) {
+            const float before = i < 4 ? 0.0f : coordinates[i - 4], moved = before + uniform(random, -0.05f, 0.05f);
+            coordinates[i] = moved > -1 && moved < 1 ? moved : before;
+        }
+        constexpr int kRows = 24, kFeatures = 8;
+        for (int level = 0; level < 3; ++level) {
+            for (int axis = 0; axis < 3; ++axis) {
+                const int samples_per_row = 32 << level;
+                plane_values.emplace_back(static_cast<std::size_t>(kRows) * samples_per_row * kFeatures, 0.1f);
+                plane_gradients.push_back(plane_values.back());
+                planes.push_back({plane_values.back().data(), kRows, samples_per_row, axis,
+                                  level * 48 + 24 + axis * kFeatures});
+                to_planes.push_back(plane_gradients.back().data());
+            }
+        }
+    }
 
     heads::Inputs inputs() const {
         return {features.data(), samples.data(), visibility.data(), shares.data(),
-                own.data(),      xyz.data(),     spacing.data(),    count};
+                own.data(),      xyz.data(),     spacing.data(),    count,
+                {planes.data(), static_cast<int>(planes.size()), 8, coordinates.data(), 0.3f}};
     }
 
     void forward() {
@@ -83,7 +105,7 @@ struct HeadsWork {
     }
 
     void backward() {
-        heads::Gradients out{to_features.data(), to_samples.data(), to_own.data(), to_xyz.data(), {}};
+        heads::Gradients out{to_features.data(), to_samples.data(), to_own.data(), to_xyz.data(), {}, to_planes.data()};
         for (int i = 0; i < heads::kWeightCount; ++i) out.weights[i] = layers.gradients[i].data();
         const heads::Upstream upstream{radius.data(), density.data(), sh.data(), colour.data()};
         heads::backward(sizes, settings, layers.inputs().data(), inputs(), execution, {sh.data(), saved.data()},
