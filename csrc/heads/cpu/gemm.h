@@ -114,8 +114,19 @@ inline void add_product(const Strided& a, int rows, const float* b, std::size_t 
 FOURD_INLINE float sum_of(const Vector& vector) {
     float lanes[kNative];
     write(vector, lanes);
-    for (int half = kNative / 2; half > 0; half /= 2) {
-        for (int i = 0; i < half; ++i) lanes[i] += lanes[i + half];
+#if defined(__GNUC__)
+    // Halves that are vectors themselves stay in registers.
+    typedef float Four __attribute__((vector_size(16)));
+    Four sum = {}, part;
+FOURD_UNROLL
+    for (int i = 0; i < kNative; i += 4) {
+        std::memcpy(&part, lanes + i, sizeof part);
+        sum += part;
     }
-    return lanes[0];
+    return (sum[0] + sum[2]) + (sum[1] + sum[3]);
+#else
+    float sums[4] = {};
+    for (int i = 0; i < kNative; ++i) sums[i % 4] += lanes[i];
+    return (sums[0] + sums[2]) + (sums[1] + sums[3]);
+#endif
 }

@@ -12,7 +12,7 @@ namespace fourd::heads {
 namespace {
 
 constexpr std::size_t kLeastPerTask = 16 * kBlock;
-constexpr std::size_t kMaxTasks = 32;
+constexpr std::size_t kMaxTasks = 16;
 
 // Divides one block of memory into arrays. Without memory, it only counts the floats.
 class Arena {

@@ -82,40 +82,56 @@ inline void directions_of(const Job& job, std::size_t first, int count, Directio
     }
 }
 
+// The sum of the products of two rows of kShTerms numbers.
+FOURD_INLINE float sh_dot(const float* a, const float* b) {
+    Vector sum = {}, left, right;
+FOURD_UNROLL
+    for (int k = 0; k < kShTerms; k += kNative) {
+        read(a + k, left);
+        read(b + k, right);
+        multiply_add(left, right, sum);
+    }
+    return sum_of(sum);
+}
+
 // Evaluates the SH functions, and tanh of the sums of coefficients (points, kSh) times functions: space.basis and
 // space.tanhs.
 inline void sh_colours(const Workspace& space, const Directions& directions, const float* sh, int count) {
-    for (int i = 0; i < kBlock; ++i) {
+    float sums[3 * kBlock] = {};
+    for (int i = 0; i < count; ++i) {
+        float* basis = space.basis + i * kShTerms;
         shade::harmonics(directions.x[i], directions.y[i], directions.z[i],
-                         [&](int k, float value) FOURD_INLINE_LAMBDA { space.basis[k * kBlock + i] = value; });
+                         [&](int k, float value) FOURD_INLINE_LAMBDA { basis[k] = value; });
+        for (int c = 0; c < 3; ++c) sums[c * kBlock + i] = sh_dot(sh + i * kSh + c * kShTerms, basis);
     }
-    for (int c = 0; c < 3; ++c) {
-        float sums[kBlock] = {};
-        for (int i = 0; i < count; ++i) {
-            const float* from = sh + i * kSh + c * kShTerms;
-            float sum = 0.0f;
-            for (int k = 0; k < kShTerms; ++k) sum += from[k] * space.basis[k * kBlock + i];
-            sums[i] = sum;
-        }
-        for (int i = 0; i < kBlock; ++i) space.tanhs[c * kBlock + i] = fast_tanh(sums[i]);
-    }
+    for (int i = 0; i < 3 * kBlock; ++i) space.tanhs[i] = fast_tanh(sums[i]);
 }
 
-// The radius as a share of its range, and the density, from the geometry head's second layer.
-inline void geometry_of(const Job& job, const float* second, float* share, float* density) {
+// Computes the logits of the radius (as a share of its range) and of the density, from the geometry head's second layer.
+template <int R>
+FOURD_INLINE void geometry_logits(const Job& job, const float* second, std::size_t step, float* share,
+                                  float* density) {
     const float* weights = job.packed->last;
     const int hidden = job.sizes->hidden_stride();
-    Vector sums[2] = {};
+    Vector shares[R] = {}, densities[R] = {};
     for (int u = 0; u < hidden; u += kNative) {
-        Vector value, weight;
-        read(second + u, value);
-        for (int o = 0; o < 2; ++o) {
-            read(weights + o * hidden + u, weight);
-            multiply_add(value, weight, sums[o]);
+        Vector value, to_share, to_density;
+        read(weights + u, to_share);
+        read(weights + hidden + u, to_density);
+FOURD_UNROLL
+        for (int r = 0; r < R; ++r) {
+            read(second + r * step + u, value);
+            multiply_add(value, to_share, shares[r]);
+            multiply_add(value, to_density, densities[r]);
         }
     }
-    *share = sum_of(sums[0]) + job.packed->last_bias[0] + job.settings->radius_offset;
-    *density = sum_of(sums[1]) + job.packed->last_bias[1] + job.settings->density_offset;
+    const float share_bias = job.packed->last_bias[0] + job.settings->radius_offset;
+    const float density_bias = job.packed->last_bias[1] + job.settings->density_offset;
+FOURD_UNROLL
+    for (int r = 0; r < R; ++r) {
+        share[r] = sum_of(shares[r]) + share_bias;
+        density[r] = sum_of(densities[r]) + density_bias;
+    }
 }
 
 // Computes the logits of a block's geometry, with lanes for points, and their sigmoids.
@@ -123,9 +139,11 @@ struct Geometry {
     float share[kBlock] = {}, density[kBlock] = {};
 
     Geometry(const Job& job, const float* second, std::size_t step, int count) {
-        for (int i = 0; i < count; ++i) geometry_of(job, second + i * step, share + i, density + i);
-        for (int i = 0; i < kBlock; ++i) share[i] = sigmoid(share[i]);
-        for (int i = 0; i < kBlock; ++i) density[i] = sigmoid(density[i]);
+        int i = 0;
+        for (; i + 4 <= count; i += 4) geometry_logits<4>(job, second + i * step, step, share + i, density + i);
+        for (; i < count; ++i) geometry_logits<1>(job, second + i * step, step, share + i, density + i);
+        for (i = 0; i < kBlock; ++i) share[i] = sigmoid(share[i]);
+        for (i = 0; i < kBlock; ++i) density[i] = sigmoid(density[i]);
     }
 };
 
@@ -216,25 +234,24 @@ inline void geometry_backward(const Job& job, const Workspace& space, const Shap
 // and space.basis.
 inline void sh_colours_backward(const Job& job, const Workspace& space, const Directions& directions, const float* sh,
                                 std::size_t first, int count, const Upstream& upstream, const Gradients& out) {
-    float to_basis[kShTerms * kBlock] = {};
     for (int i = 0; i < count; ++i) {
+        const float* basis = space.basis + i * kShTerms;
+        float to_basis[kShTerms] = {};
         for (int c = 0; c < 3; ++c) {
             const float tanh = space.tanhs[c * kBlock + i];
             const float to_sum = space.grad_colour[c * kBlock + i] * job.settings->sh_range * (1.0f - tanh * tanh);
             const float* from = sh + i * kSh + c * kShTerms;
             float* to = space.grad_sh + i * kSh + c * kShTerms;
-            for (int k = 0; k < kShTerms; ++k) to[k] = to_sum * space.basis[k * kBlock + i];
-            for (int k = 0; k < kShTerms; ++k) to_basis[k * kBlock + i] += to_sum * from[k];
+            for (int k = 0; k < kShTerms; ++k) to[k] = to_sum * basis[k];
+            for (int k = 0; k < kShTerms; ++k) to_basis[k] += to_sum * from[k];
         }
         if (upstream.sh) {
             const float* from = upstream.sh + (first + i) * kSh;
             for (int k = 0; k < kSh; ++k) space.grad_sh[i * kSh + k] += from[k];
         }
-    }
-    for (int i = 0; i < count; ++i) {
         const float x = directions.x[i], y = directions.y[i], z = directions.z[i];
         float gx, gy, gz;
-        sh_basis_backward(x, y, z, to_basis + i, kBlock, &gx, &gy, &gz);
+        sh_basis_backward(x, y, z, to_basis, &gx, &gy, &gz);
         const float along = x * gx + y * gy + z * gz;
         float* to = out.xyz + 3 * (first + i);
         to[0] = (gx - x * along) / directions.length[i];

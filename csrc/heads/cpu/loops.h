@@ -52,7 +52,7 @@ struct Workspace {
     float* grad_logits;  // Shape (views, kBlock).
     float* weights;      // Shape (views, kBlock).
     float* grad_mixed;   // Shape (views, 3, kBlock).
-    float* basis;        // Shape (kShTerms, kBlock).
+    float* basis;        // Shape (kBlock, kShTerms).
     float* grad_colour;  // Shape (3, kBlock).
     float* tanhs;        // Shape (3, kBlock).
 };
