@@ -109,24 +109,3 @@ inline void add_product(const Strided& a, int rows, const float* b, std::size_t 
                         std::size_t step, int columns) {
     product(a, rows, {b, b_step, depth, {to, step}, kZeros}, to, step, columns);
 }
-
-// Adds up the lanes of a vector, in the same order for every instruction set.
-FOURD_INLINE float sum_of(const Vector& vector) {
-    float lanes[kNative];
-    write(vector, lanes);
-#if defined(__GNUC__)
-    // Halves that are vectors themselves stay in registers.
-    typedef float Four __attribute__((vector_size(16)));
-    Four sum = {}, part;
-FOURD_UNROLL
-    for (int i = 0; i < kNative; i += 4) {
-        std::memcpy(&part, lanes + i, sizeof part);
-        sum += part;
-    }
-    return (sum[0] + sum[2]) + (sum[1] + sum[3]);
-#else
-    float sums[4] = {};
-    for (int i = 0; i < kNative; ++i) sums[i % 4] += lanes[i];
-    return (sums[0] + sums[2]) + (sums[1] + sums[3]);
-#endif
-}

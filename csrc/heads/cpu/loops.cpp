@@ -107,7 +107,8 @@ inline void sh_colours(const Workspace& space, const Directions& directions, con
     for (int i = 0; i < 3 * kBlock; ++i) space.tanhs[i] = fast_tanh(sums[i]);
 }
 
-// Computes the logits of the radius (as a share of its range) and of the density, from the geometry head's second layer.
+// Computes the logits of the radius (as a share of its range) and of the density, from the geometry head's second
+// layer.
 template <int R>
 FOURD_INLINE void geometry_logits(const Job& job, const float* second, std::size_t step, float* share,
                                   float* density) {
