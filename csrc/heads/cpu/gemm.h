@@ -38,13 +38,12 @@ struct Product {
 // Computes R rows and C vectors of a product. The sums stay in registers.
 template <int R, int C>
 FOURD_INLINE void tile_sums(const Strided& a, const Product& p, int row, int column, Vector (&sum)[R][C]) {
-    const float* start = p.start.at + row * p.start.step + column;
 FOURD_UNROLL
     for (int r = 0; r < R; ++r) {
 FOURD_UNROLL
         for (int v = 0; v < C; ++v) {
             sum[r][v] = Vector{};
-            if (p.start.at) read(start + r * p.start.step + v * kNative, sum[r][v]);
+            if (p.start.at) read(p.start.at + (row + r) * p.start.step + column + v * kNative, sum[r][v]);
         }
     }
     const float *left = a.row(row), *b = p.b + column;

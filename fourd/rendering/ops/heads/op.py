@@ -213,7 +213,7 @@ def _backward(
         *points, *time_planes, weights, ctx.settings, *upstream, sh, saved
     )
     to_points = (to_features, to_samples, None, None, None if own is None else to_own, to_xyz, None)
-    to_indices = None if ctx.axes else []  # torch takes an empty list for one of tensors.
+    to_indices: list[Tensor] | None = None if ctx.axes else []  # torch takes an empty list for one of tensors.
     return *to_points, to_planes, to_indices, to_indices, None, None, to_weights, None
 
 

@@ -54,7 +54,7 @@ def _with_time_features(features: Tensor, time_planes: TimePlanes) -> Tensor:
         return features
     times = torch.full_like(features[:, :1], time_planes.time)
     coordinates = torch.cat([time_planes.coordinates[:, :3], times], dim=1)
-    rest, parts = features, []
+    rest, parts = features, list[Tensor]()
     ordered = sorted(
         zip(time_planes.columns, time_planes.planes, time_planes.axes, strict=True), key=lambda row: row[0]
     )
