@@ -33,7 +33,7 @@ fourd_kernel(hashgrid
   CUDA_BINDING cuda/binding.cpp)
 
 fourd_kernel(heads
-  CPU cpu/heads.cpp
+  CPU cpu/heads.cpp cpu/lines.cpp
   DISPATCH cpu/loops.cpp WIDEST avx512 TOLERANT
   BINDING binding.cpp)
 

@@ -38,6 +38,11 @@ WORKLOADS = {
     "sources": "sources 8192 256 256 1",
     "sources backward": "sources_backward 8192 256 256 1",
     "similarity": "similarity 1 128 128 1",
+    "heads": "heads 2048 1 1 1",
+    "heads backward": "heads_backward 2048 1 1 1",
+    "encoder": "encoder 1 128 64 1",
+    "encoder backward": "encoder_backward 1 128 64 1",
+    "moves": "moves 8192 1 1 1",
 }
 
 

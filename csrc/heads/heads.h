@@ -15,6 +15,7 @@ constexpr int kMaxFeatures = 4096;
 constexpr int kMaxHidden = 512;
 constexpr int kMaxChannels = 64;
 constexpr int kMaxViews = 64;
+constexpr int kMaxTimeSamples = 1 << 16;
 
 // Rows of internal arrays are padded to a multiple of kPad floats, which is a whole number of vectors of every
 // instruction set.
@@ -23,9 +24,12 @@ constexpr int padded(int size) { return (size + kPad - 1) / kPad * kPad; }
 
 struct Sizes {
     int features, hidden, channels, views;
+    int inputs;  // Of the first layers: the features, and those that are sampled from time planes.
 
     int hidden_stride() const { return padded(hidden); }
     int first_stride() const { return 3 * hidden_stride(); }
+    int saved_stride() const { return 4 * hidden_stride(); }
+    std::size_t saved_size(std::size_t count) const { return count * (saved_stride() + views); }
 };
 
 // The arrays of weights in torch's shapes (outputs, inputs), in the order in which Python passes them.
@@ -54,7 +58,7 @@ struct Shape {
 
 // The shape of an array of weights. Biases have one row.
 inline Shape weight_shape(const Sizes& sizes, int weight) {
-    const int f = sizes.features, h = sizes.hidden, c = sizes.channels;
+    const int f = sizes.inputs, h = sizes.hidden, c = sizes.channels;
     const Shape shapes[kWeightCount] = {{h, f}, {1, h}, {h, h}, {1, h}, {2, h}, {1, 2},   {h, f}, {1, h},
                                         {h, c}, {1, h}, {1, 1}, {h, f}, {1, h}, {kSh, h}, {1, kSh}};
     return shapes[weight];
@@ -70,6 +74,22 @@ struct Settings {
     float centre[3];  // Of the viewing camera.
 };
 
+// A plane of features over one coordinate of space and time. All points have the same time, so the plane is a line.
+struct TimePlane {
+    const float* values;  // Shape (rows, samples, features), with at least 2 rows and 2 samples.
+    int rows, samples;
+    int axis;    // The coordinate in space, 0 to 2.
+    int column;  // The first of the layers' inputs that the plane's features are.
+};
+
+struct TimePlanes {
+    const TimePlane* at;
+    int count;
+    int features;              // Of each plane.
+    const float* coordinates;  // Shape (points, 4), in [-1, 1]. Without planes, it is not read.
+    float time;                // In [-1, 1].
+};
+
 struct Inputs {
     const float* features;      // Shape (count, features).
     const float* samples;       // Shape (views, channels, count). The last three channels are RGB.
@@ -79,6 +99,7 @@ struct Inputs {
     const float* xyz;           // Shape (count, 3).
     const float* spacing;       // Shape (count,).
     std::size_t count;
+    TimePlanes time_planes;
 };
 
 struct Outputs {
@@ -86,7 +107,7 @@ struct Outputs {
     float* density;  // Shape (count,).
     float* sh;       // Shape (count, kSh).
     float* colour;   // Shape (count, 3).
-    float* hidden;   // Shape (count, first_stride()): outputs of the first layers, for the gradient.
+    float* saved;    // saved_size(count) numbers for the gradient.
 };
 
 // Gradients of the loss with respect to Outputs.
@@ -95,7 +116,12 @@ struct Upstream {
     const float* density;
     const float* sh;  // Null if the loss does not depend on the SH coefficients themselves.
     const float* colour;
-    const float* hidden;  // Outputs::hidden.
+};
+
+// What forward() has computed, which backward() reads.
+struct Saved {
+    const float* sh;     // Outputs::sh.
+    const float* saved;  // Outputs::saved.
 };
 
 // Gradients of the loss with respect to Inputs, in the same shapes.
@@ -105,6 +131,7 @@ struct Gradients {
     float* own;  // Null if Inputs::own is null.
     float* xyz;  // Only through the viewing direction.
     float* weights[kWeightCount];
+    float* const* time_planes;
 };
 
 struct Execution {
@@ -116,6 +143,6 @@ void forward(const Sizes& sizes, const Settings& settings, const float* const* w
              const Execution& execution, const Outputs& out);
 
 void backward(const Sizes& sizes, const Settings& settings, const float* const* weights, const Inputs& inputs,
-              const Execution& execution, const Upstream& upstream, const Gradients& out);
+              const Execution& execution, const Saved& saved, const Upstream& upstream, const Gradients& out);
 
 }  // namespace fourd::heads

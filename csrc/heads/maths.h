@@ -29,18 +29,16 @@ FOURD_HD FOURD_INLINE float fast_exp(float x) {
     return p * scale;
 }
 
-// Adds the gradient of a direction (x, y, z) to `out`. `q[i * stride]` is the gradient of SH function i.
+// Computes the gradient of a direction (x, y, z) from the gradients `q` of the SH functions.
 // The functions are those of directional_terms() in fourd/rendering/ops/shade/harmonics.py.
-FOURD_HD FOURD_INLINE void sh_basis_backward(float x, float y, float z, const float* q, int stride, float* gx,
-                                             float* gy, float* gz) {
+FOURD_HD FOURD_INLINE void sh_basis_backward(float x, float y, float z, const float* q, float* gx, float* gy,
+                                             float* gz) {
     const float xx = x * x, yy = y * y, zz = z * z, xy = x * y, yz = y * z, xz = x * z;
     constexpr float a = 0.4886025119029199f, b = 1.0925484305920792f, c = 0.31539156525252005f, d = 0.5462742152960396f;
     constexpr float e = 0.5900435899266435f, f = 2.890611442640554f, g = 0.4570457994644658f, h = 0.3731763325901154f;
     constexpr float k = 1.445305721320277f;
-    const float q1 = q[stride], q2 = q[2 * stride], q3 = q[3 * stride], q4 = q[4 * stride], q5 = q[5 * stride];
-    const float q6 = q[6 * stride], q7 = q[7 * stride], q8 = q[8 * stride], q9 = q[9 * stride], q10 = q[10 * stride];
-    const float q11 = q[11 * stride], q12 = q[12 * stride], q13 = q[13 * stride], q14 = q[14 * stride];
-    const float q15 = q[15 * stride];
+    const float q1 = q[1], q2 = q[2], q3 = q[3], q4 = q[4], q5 = q[5], q6 = q[6], q7 = q[7], q8 = q[8], q9 = q[9];
+    const float q10 = q[10], q11 = q[11], q12 = q[12], q13 = q[13], q14 = q[14], q15 = q[15];
     *gx = -a * q3 + b * (y * q4 - z * q7) + 2 * x * (d * q8 - c * q6) + f * yz * q10 + xy * (2 * g * q11 - 6 * e * q9) +
           xz * (2 * k * q14 - 6 * h * q12) - g * (4 * zz - 3 * xx - yy) * q13 - 3 * e * (xx - yy) * q15;
     *gy = -a * q1 + b * (x * q4 - z * q5) - 2 * y * (d * q8 + c * q6) + f * xz * q10 +

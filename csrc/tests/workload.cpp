@@ -1,7 +1,8 @@
 // Runs one kernel on synthetic points, for profilers and for counting instructions. The program prints the milliseconds
 // per repeat. KERNEL is render, backward, play, planes, planes_backward, sources, sources_backward, similarity,
-// hashgrid or hashgrid_backward. LAYERS is the maximum number of depth layers per pixel. For the hash grid, LAYERS is
-// instead the logarithm to base 2 of the maximum number of entries per level.
+// hashgrid, hashgrid_backward, heads, heads_backward, encoder, encoder_backward or moves. LAYERS is the maximum number
+// of depth layers per pixel. For the hash grid, LAYERS is instead the logarithm to base 2 of the maximum number of
+// entries per level.
 // Usage:
 //   workload KERNEL POINTS WIDTH HEIGHT LAYERS REPEATS THREADS [SIMD]
 #include <chrono>
@@ -21,6 +22,7 @@
 #include "points/points.h"
 #include "similarity/similarity.h"
 #include "sources/sources.h"
+#include "tests/training/workloads.h"
 
 namespace {
 
@@ -260,6 +262,13 @@ int main(int count, char** arguments) {
     if (kernel == "hashgrid_backward") work = hashgrid_workload(size, true);
     if (kernel == "sources") work = sources_workload(size, false);
     if (kernel == "sources_backward") work = sources_workload(size, true);
+    if (kernel == "heads") work = fourd::tests::heads_workload(size.points, size.threads, size.simd, false);
+    if (kernel == "heads_backward") work = fourd::tests::heads_workload(size.points, size.threads, size.simd, true);
+    if (kernel == "encoder")
+        work = fourd::tests::encoder_workload(size.width, size.height, size.threads, size.simd, false);
+    if (kernel == "encoder_backward")
+        work = fourd::tests::encoder_workload(size.width, size.height, size.threads, size.simd, true);
+    if (kernel == "moves") work = fourd::tests::moves_workload(size.points, size.threads);
     if (kernel == "similarity") work = similarity_workload(size);
     if (!work) {
         std::fprintf(stderr, "workload: no kernel %s\n", arguments[1]);

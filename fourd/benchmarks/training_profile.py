@@ -141,8 +141,7 @@ def _numbers(row: OperatorTime) -> tuple[float, float, float]:
 
 
 def _step(trainer: Trainer, number: int) -> None:
-    sample = trainer.sampler.sample(number)
-    points = trainer.frames.get(sample.frame)
+    sample, points = trainer.begin_step(number)
     trainer.stepper.step(points, trainer.run.capture.time(sample.frame), sample, RATE_FACTOR, number)
     if trainer.scene.views.device.type == "cuda":
         torch.cuda.synchronize()

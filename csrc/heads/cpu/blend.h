@@ -1,196 +1,132 @@
-// The blend head of one block of points and the mixing of colours, with their gradients. heads/cpu/loops.cpp includes
-// this file inside its namespace.
+// The blend head of one block of points, with its gradient. heads/cpu/loops.cpp includes this file inside its
+// namespace. The hidden layer of a view is computed again for the gradient, because reading it from memory would take
+// as long.
 
-// Computes the rectified hidden layer of the blend head in one view, into space.back.
-inline void blend_hidden(const Job& job, const Workspace& space, const Shapes& at, const float* point, int count) {
-    for (int i = 0; i < count; ++i) {
-        float* to = space.back + static_cast<std::size_t>(i) * at.hidden;
-        std::memcpy(to, point + static_cast<std::size_t>(i) * at.first, at.hidden * sizeof(float));
-    }
-    add_product(columns_of(space.samples, kBlock), count, job.packed->image_columns, at.hidden, at.sizes.channels,
-                space.back, at.hidden, at.hidden);
-    rectify(space.back, at.hidden, count, at.hidden);
+// The samples of a view as a matrix (points, channels).
+inline Strided samples_of(const Job& job, int view, std::size_t first) {
+    const std::size_t points = job.inputs->count;
+    return {job.inputs->samples + static_cast<std::size_t>(view) * job.sizes->channels * points + first, 1, points};
 }
 
-FOURD_INLINE float dot(const float* a, const float* b, int width) {
-    float lanes[kPad] = {};
-    for (int h = 0; h < width; h += kPad) {
-        for (int i = 0; i < kPad; ++i) lanes[i] += a[h + i] * b[h + i];
-    }
-    for (int half = kPad / 2; half > 0; half /= 2) {
-        for (int i = 0; i < half; ++i) lanes[i] += lanes[i + half];
-    }
-    return lanes[0];
-}
-
-// Computes the logits of all views, and the colours that are blended: space.logits and space.colours.
-inline void blend_views(const Job& job, const Workspace& space, const Shapes& at, std::size_t first, int count,
-                        const float* point) {
-    const Inputs& inputs = *job.inputs;
-    const Settings& settings = *job.settings;
-    for (int view = 0; view < at.sizes.views; ++view) {
-        const std::size_t offset = static_cast<std::size_t>(view) * at.sizes.channels * inputs.count + first;
-        load_channels(inputs.samples + offset, inputs.count, at.sizes.channels, count, space.samples);
-        std::memcpy(space.colours + view * 3 * kBlock, space.samples + (at.sizes.channels - 3) * kBlock,
-                    3 * kBlock * sizeof(float));
-        blend_hidden(job, space, at, point, count);
-        float* logits = space.logits + view * kBlock;
-        for (int i = 0; i < count; ++i) {
-            logits[i] = dot(space.back + static_cast<std::size_t>(i) * at.hidden, job.packed->out, at.hidden);
-        }
-        for (int i = count; i < kBlock; ++i) logits[i] = 0.0f;
-        const float bias = *job.packed->out_bias, range = settings.logit_range;
-        for (int i = 0; i < kBlock; ++i) logits[i] = range * fast_tanh((logits[i] + bias) / range);
-    }
-}
-
-// Computes the normalised blend weights from the logits and visibilities: space.weights. A point that no view sees has
-// the weights of the views, normalised; the second result is then 0, and otherwise 1.
-inline void blend_weights(const Job& job, const Workspace& space, std::size_t first, int count, float* is_seen) {
-    const Inputs& inputs = *job.inputs;
-    const int views = job.sizes->views;
-    float total[kBlock] = {}, even = 0.0f;
-    for (int view = 0; view < views; ++view) {
-        const float share = inputs.view_weights[view], least = job.settings->min_visibility;
-        const float* visibility = inputs.visibility + view * inputs.count + first;
-        const float* logits = space.logits + view * kBlock;
-        float* weights = space.weights + view * kBlock;
-        even += share;
-        for (int i = 0; i < count; ++i) weights[i] = visibility[i] < least ? 0.0f : visibility[i] * share;
-        for (int i = count; i < kBlock; ++i) weights[i] = 0.0f;
-        for (int i = 0; i < kBlock; ++i) weights[i] *= fast_exp(logits[i]);
-        for (int i = 0; i < kBlock; ++i) total[i] += weights[i];
-    }
-    for (int i = 0; i < kBlock; ++i) is_seen[i] = total[i] > 0.0f ? 1.0f : 0.0f;
-    for (int view = 0; view < views; ++view) {
-        float* weights = space.weights + view * kBlock;
-        const float mean = inputs.view_weights[view] / even;
-        for (int i = 0; i < kBlock; ++i) weights[i] = total[i] > 0.0f ? weights[i] / total[i] : mean;
-    }
-}
-
-// Mixes the colour of one view with the points' own colours.
-inline float mixed(float colour, float own, float share) {
-    const float mix = colour + share * (own - colour);
-    return mix < 0.0f ? 0.0f : mix > 1.0f ? 1.0f : mix;
-}
-
-// The share of the own colour that replaces the colour of a view: constant, or by visibility.
-inline float own_share(const Settings& settings, float visibility) {
-    if (settings.own_share > 0.0f) return settings.own_share;
-    return 1.0f - (visibility < settings.min_visibility ? 0.0f : visibility);
-}
-
-// Writes the blended colour to out (3, kBlock).
-inline void blended_colour(const Job& job, const Workspace& space, std::size_t first, int count, float* out) {
-    const Inputs& inputs = *job.inputs;
-    const Settings& settings = *job.settings;
-    clear(out, 3 * kBlock);
-    for (int view = 0; view < job.sizes->views; ++view) {
-        const float* visibility = inputs.visibility + view * inputs.count + first;
-        for (int c = 0; c < 3; ++c) {
-            const float* colour = space.colours + (view * 3 + c) * kBlock;
-            const float* weights = space.weights + view * kBlock;
-            float* to = out + c * kBlock;
-            if (!inputs.own) {
-                for (int i = 0; i < count; ++i) to[i] += weights[i] * colour[i];
-            } else if (settings.own_share > 0.0f) {
-                for (int i = 0; i < count; ++i) {
-                    to[i] += weights[i] * mixed(colour[i], inputs.own[3 * (first + i) + c], settings.own_share);
-                }
-            } else {
-                for (int i = 0; i < count; ++i) {
-                    const float own = inputs.own[3 * (first + i) + c];
-                    to[i] += weights[i] * (colour[i] + own_share(settings, visibility[i]) * (own - colour[i]));
-                }
-            }
-        }
-    }
-}
-
-// Computes the gradients of logits and mixed colours, in place of their values: space.logits and space.colours. Writes
-// the gradient of the own colours.
-inline void blend_weights_backward(const Job& job, const Workspace& space, std::size_t first, int count,
-                                   const float* is_seen, const Gradients& out) {
-    const Inputs& inputs = *job.inputs;
-    const Settings& settings = *job.settings;
-    const int views = job.sizes->views;
-    float to_own[3 * kBlock] = {}, mean[kBlock] = {};
-    for (int pass = 0; pass < 2; ++pass) {
-        for (int view = 0; view < views; ++view) {
-            const float* visibility = inputs.visibility + view * inputs.count + first;
-            const float* weights = space.weights + view * kBlock;
-            float* logits = space.logits + view * kBlock;
-            float to_weight[kBlock] = {};
-            for (int c = 0; c < 3; ++c) {
-                float* colours = space.colours + (view * 3 + c) * kBlock;
-                const float* gradient = space.grad_colour + c * kBlock;
-                for (int i = 0; i < count; ++i) {
-                    const float own = inputs.own ? inputs.own[3 * (first + i) + c] : 0.0f;
-                    const float share = inputs.own ? own_share(settings, visibility[i]) : 0.0f;
-                    const float mix = colours[i] + share * (own - colours[i]);
-                    const bool clamps = inputs.own && settings.own_share > 0.0f;
-                    const bool is_free = !clamps || (mix >= 0.0f && mix <= 1.0f);
-                    const float shown = is_free ? mix : mix < 0.0f ? 0.0f : 1.0f;
-                    to_weight[i] += gradient[i] * shown;
-                    if (pass == 0) continue;
-                    const float to_mix = is_free ? gradient[i] * weights[i] : 0.0f;
-                    to_own[c * kBlock + i] += share * to_mix;
-                    colours[i] = (1.0f - share) * to_mix;
-                }
-            }
-            if (pass == 0) {
-                for (int i = 0; i < kBlock; ++i) mean[i] += weights[i] * to_weight[i];
-                continue;
-            }
-            for (int i = 0; i < kBlock; ++i) {
-                const float ratio = logits[i] / settings.logit_range;
-                logits[i] = is_seen[i] * weights[i] * (to_weight[i] - mean[i]) * (1.0f - ratio * ratio);
-            }
-        }
-    }
-    if (!out.own) return;
-    for (int i = 0; i < count; ++i) {
-        for (int c = 0; c < 3; ++c) out.own[3 * (first + i) + c] = to_own[c * kBlock + i];
-    }
-}
-
-// Computes the gradients of the blend head, from the gradients that blend_weights_backward() wrote.
-inline void blend_backward(const Job& job, const Workspace& space, const Shapes& at, std::size_t first, int count,
-                           const Gradients& out, const Sums& sums) {
-    const Inputs& inputs = *job.inputs;
+// The product that computes the hidden layer of a view. `point` is the part of the layer that all views share.
+inline Product blend_layer(const Job& job, const Rows& point) {
     const Packed& packed = *job.packed;
-    const int channels = at.sizes.channels;
-    const float* point = space.first + at.hidden;
-    float* to_point = space.grad_first + at.hidden;
-    for (int i = 0; i < count; ++i) clear(to_point + static_cast<std::size_t>(i) * at.first, at.hidden);
-    for (int view = 0; view < at.sizes.views; ++view) {
-        const std::size_t offset = static_cast<std::size_t>(view) * channels * inputs.count + first;
-        load_channels(inputs.samples + offset, inputs.count, channels, count, space.samples);
-        blend_hidden(job, space, at, point, count);
-        const float* to_raw = space.logits + view * kBlock;
-        add_product({to_raw, 0, 1}, 1, space.back, at.hidden, count, sums.out, at.hidden, at.hidden);
-        const float* FOURD_RESTRICT weights = packed.out;
-        for (int i = 0; i < count; ++i) {
-            float* FOURD_RESTRICT row = space.back + static_cast<std::size_t>(i) * at.hidden;
-            float* FOURD_RESTRICT to = to_point + static_cast<std::size_t>(i) * at.first;
-            const float gradient = to_raw[i];
-            *sums.out_bias += gradient;
-            for (int h = 0; h < at.hidden; ++h) {
-                const float product = gradient * weights[h];
-                row[h] = row[h] > 0.0f ? product : 0.0f;
-                to[h] += row[h];
-            }
+    return {packed.image_columns, static_cast<std::size_t>(job.sizes->hidden_stride()), job.sizes->channels, point,
+            kZeros};
+}
+
+// Adds the products of C vectors of the hidden layer and of the last layer's weights to `sum`.
+template <int R, int C>
+FOURD_INLINE void add_to_logits(const Strided& samples, const Product& layer, const float* weights, int row, int column,
+                                Vector (&sum)[R]) {
+    Vector hidden[R][C];
+    tile_sums(samples, layer, row, column, hidden);
+FOURD_UNROLL
+    for (int v = 0; v < C; ++v) {
+        Vector weight;
+        read(weights + column + v * kNative, weight);
+FOURD_UNROLL
+        for (int r = 0; r < R; ++r) {
+            keep_positive(hidden[r][v], hidden[r][v]);
+            multiply_add(hidden[r][v], weight, sum[r]);
         }
-        add_product(rows_of(space.samples, kBlock), channels, space.back, at.hidden, count, sums.image_columns,
-                    at.hidden, at.hidden);
-        clear(space.wide, static_cast<std::size_t>(count) * at.channels);
-        add_product(rows_of(space.back, at.hidden), count, packed.image, at.channels, at.sizes.hidden, space.wide,
-                    at.channels, at.channels);
-        const float* colours = space.colours + view * 3 * kBlock;
-        for (int c = 0; c < channels; ++c) {
-            float* to = out.samples + offset + c * inputs.count;
-            for (int i = 0; i < count; ++i) to[i] = space.wide[i * at.channels + c];
+    }
+}
+
+template <int R>
+FOURD_INLINE void raw_logits(const Job& job, const Strided& samples, const Product& layer, int row, float* out) {
+    const float* weights = job.packed->out;
+    const int hidden = job.sizes->hidden_stride();
+    Vector sum[R] = {};
+    int u = 0;
+    for (; u + 2 * kNative <= hidden; u += 2 * kNative) add_to_logits<R, 2>(samples, layer, weights, row, u, sum);
+    for (; u < hidden; u += kNative) add_to_logits<R, 1>(samples, layer, weights, row, u, sum);
+FOURD_UNROLL
+    for (int r = 0; r < R; ++r) out[row + r] = sum_of(sum[r]);
+}
+
+// Computes the logits of all views. Their rows begin as far apart as those of the inputs.
+inline void blend_logits(const Job& job, const Rows& point, std::size_t first, int count, float* logits) {
+    const Product layer = blend_layer(job, point);
+    const float bias = *job.packed->out_bias, range = job.settings->logit_range;
+    for (int view = 0; view < job.sizes->views; ++view, logits += job.inputs->count) {
+        const Strided samples = samples_of(job, view, first);
+        int i = 0;
+        for (; i + kTileRows <= count; i += kTileRows) raw_logits<kTileRows>(job, samples, layer, i, logits);
+        for (; i < count; ++i) raw_logits<1>(job, samples, layer, i, logits);
+        for (i = 0; i < count; ++i) logits[i] = range * fast_tanh((logits[i] + bias) / range);
+    }
+}
+
+// What the gradient of a view's hidden layer reads and writes.
+struct BlendStep {
+    const float *to_raw, *weights;  // The gradients of the logits before tanh, and the weights of the last layer.
+    float *hidden, *point, *out;    // Gradients: of the hidden layer, which is written, and of its part that all views
+                                    // share and of the last layer's weights, to which is added.
+    std::size_t hidden_step, point_step;
+};
+
+template <int R, int C>
+FOURD_INLINE void blend_tile_backward(const Strided& samples, const Product& layer, const BlendStep& step, int row,
+                                      int column) {
+    Vector hidden[R][C];
+    tile_sums(samples, layer, row, column, hidden);
+FOURD_UNROLL
+    for (int v = 0; v < C; ++v) {
+        const int at = column + v * kNative;
+        Vector weight, sum;
+        read(step.weights + at, weight);
+        read(step.out + at, sum);
+FOURD_UNROLL
+        for (int r = 0; r < R; ++r) {
+            const float gradient = step.to_raw[row + r];
+            float* to_point = step.point + (row + r) * step.point_step + at;
+            Vector product = {}, total;
+            multiply_add(gradient, weight, product);
+            keep_positive(hidden[r][v], product);
+            write(product, step.hidden + (row + r) * step.hidden_step + at);
+            read(to_point, total);
+            multiply_add(1.0f, product, total);
+            write(total, to_point);
+            keep_positive(hidden[r][v], hidden[r][v]);
+            multiply_add(gradient, hidden[r][v], sum);
+        }
+        write(sum, step.out + at);
+    }
+}
+
+template <int C>
+inline void blend_panel_backward(const Strided& samples, const Product& layer, const BlendStep& step, int count,
+                                 int column) {
+    int i = 0;
+    for (; i + kTileRows <= count; i += kTileRows) blend_tile_backward<kTileRows, C>(samples, layer, step, i, column);
+    for (; i < count; ++i) blend_tile_backward<1, C>(samples, layer, step, i, column);
+}
+
+// Computes the gradients of the blend head, from the gradients of the logits before tanh and of the mixed colours.
+inline void blend_backward(const Job& job, const Workspace& space, const Shapes& at, const Rows& point,
+                           std::size_t first, int count, const Gradients& out, const Sums& sums) {
+    const Product layer = blend_layer(job, point);
+    const int channels = at.sizes.channels, hidden = at.hidden;
+    const std::size_t points = job.inputs->count, rows = at.hidden, wide = at.channels;
+    float* to_point = space.grad_first + hidden;
+    for (int i = 0; i < count; ++i) clear(to_point + static_cast<std::size_t>(i) * at.first, rows);
+    for (int view = 0; view < at.sizes.views; ++view) {
+        const Strided samples = samples_of(job, view, first);
+        const float* to_raw = space.grad_logits + view * kBlock;
+        const BlendStep step{to_raw,   job.packed->out, space.back,
+                             to_point, sums.out,        rows,       static_cast<std::size_t>(at.first)};
+        for (int i = 0; i < count; ++i) *sums.out_bias += to_raw[i];
+        int u = 0;
+        for (; u + 2 * kNative <= hidden; u += 2 * kNative) blend_panel_backward<2>(samples, layer, step, count, u);
+        for (; u < hidden; u += kNative) blend_panel_backward<1>(samples, layer, step, count, u);
+        add_product(transposed(samples), channels, space.back, rows, count, sums.image_columns, rows, hidden);
+        product(rows_of(space.back, rows), count, {job.packed->image, wide, at.sizes.hidden, kZeros, kZeros},
+                space.wide, wide, at.channels);
+        float* to = out.samples + static_cast<std::size_t>(view) * channels * points + first;
+        const float* colours = space.grad_mixed + view * 3 * kBlock;
+        for (int c = 0; c < channels; ++c, to += points) {
+            for (int i = 0; i < count; ++i) to[i] = space.wide[i * wide + c];
             if (c < channels - 3) continue;
             for (int i = 0; i < count; ++i) to[i] += colours[(c - (channels - 3)) * kBlock + i];
         }

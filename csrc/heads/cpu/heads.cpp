@@ -5,13 +5,14 @@
 
 #include "common/buffer.h"
 #include "common/team.h"
+#include "heads/cpu/lines.h"
 #include "heads/cpu/loops.h"
 
 namespace fourd::heads {
 namespace {
 
 constexpr std::size_t kLeastPerTask = 16 * kBlock;
-constexpr std::size_t kMaxTasks = 32;
+constexpr std::size_t kMaxTasks = 16;
 
 // Divides one block of memory into arrays. Without memory, it only counts the floats.
 class Arena {
@@ -41,7 +42,6 @@ Packed place_packed(const Sizes& sizes, Arena& arena) {
     out.second_columns = arena.take(h * h);
     out.second_bias = arena.take(h);
     out.last = arena.take(2 * h);
-    out.last_columns = arena.take(h * kPad);
     out.last_bias = arena.take(kPad);
     out.image = arena.take(h * c);
     out.image_columns = arena.take(c * h);
@@ -53,10 +53,10 @@ Packed place_packed(const Sizes& sizes, Arena& arena) {
     return out;
 }
 
-Sums place_sums(const Sizes& sizes, Arena& arena) {
-    const std::size_t h = sizes.hidden_stride(), first = sizes.first_stride(), f = padded(sizes.features);
+Sums place_sums(const Sizes& sizes, std::size_t knots, Arena& arena) {
+    const std::size_t h = sizes.hidden_stride(), first = sizes.first_stride();
     Sums out;
-    out.first = arena.take(first * f);
+    out.first_columns = arena.take(sizes.features * first);
     out.first_bias = arena.take(first);
     out.second = arena.take(h * h);
     out.second_bias = arena.take(h);
@@ -67,6 +67,7 @@ Sums place_sums(const Sizes& sizes, Arena& arena) {
     out.out_bias = arena.take(1);
     out.sh = arena.take(kSh * h);
     out.sh_bias = arena.take(kSh);
+    out.tables = arena.take(knots * first);
     return out;
 }
 
@@ -74,22 +75,28 @@ Workspace place_workspace(const Sizes& sizes, Arena& arena) {
     const std::size_t h = sizes.hidden_stride(), first = sizes.first_stride(), f = padded(sizes.features);
     const std::size_t c = padded(sizes.channels), views = sizes.views;
     Workspace out;
-    out.features = arena.take(kBlock * f);
-    out.first = arena.take(kBlock * first);
     out.grad_first = arena.take(kBlock * first);
-    out.second = arena.take(kBlock * h);
     out.back = arena.take(kBlock * h);
     out.wide = arena.take(kBlock * std::max(f, c));
-    out.last = arena.take(kBlock * kPad);
-    out.sh = arena.take(kBlock * kSh);
+    out.grad_last = arena.take(2 * kBlock);
     out.grad_sh = arena.take(kBlock * kSh);
-    out.samples = arena.take(sizes.channels * kBlock);
-    out.logits = arena.take(views * kBlock);
+    out.grad_logits = arena.take(views * kBlock);
     out.weights = arena.take(views * kBlock);
-    out.colours = arena.take(views * 3 * kBlock);
+    out.grad_mixed = arena.take(views * 3 * kBlock);
     out.basis = arena.take(kShTerms * kBlock);
     out.grad_colour = arena.take(3 * kBlock);
     out.tanhs = arena.take(3 * kBlock);
+    return out;
+}
+
+// The inputs of the first layers that are features, and not sampled from time planes.
+std::vector<int> feature_columns(const Sizes& sizes, const TimePlanes& planes) {
+    std::vector<char> is_feature(sizes.inputs, 1);
+    for (int k = 0; k < planes.count; ++k) std::fill_n(&is_feature[planes.at[k].column], planes.features, 0);
+    std::vector<int> out;
+    for (int column = 0; column < sizes.inputs; ++column) {
+        if (is_feature[column]) out.push_back(column);
+    }
     return out;
 }
 
@@ -110,7 +117,7 @@ constexpr int kFirstLayers[3][2] = {
 // The weights in the layouts of the loops.
 class PackedWeights {
   public:
-    PackedWeights(const Sizes& sizes, const float* const* weights) {
+    PackedWeights(const Sizes& sizes, const float* const* weights, const std::vector<int>& columns) {
         Arena count;
         place_packed(sizes, count);
         memory_ = Buffer<float>(count.used());
@@ -121,14 +128,17 @@ class PackedWeights {
         const auto shape = [&](int weight) { return weight_shape(sizes, weight); };
         for (int part = 0; part < 3; ++part) {
             const int weight = kFirstLayers[part][0];
-            copy_rows(weights[weight], shape(weight), packed_.first + part * h * f, f);
-            copy_columns(weights[weight], shape(weight), packed_.first_columns + part * h, first);
+            for (int r = 0; r < sizes.hidden; ++r) {
+                for (int k = 0; k < sizes.features; ++k) {
+                    const float value = weights[weight][r * sizes.inputs + columns[k]];
+                    packed_.first[(part * h + r) * f + k] = packed_.first_columns[k * first + part * h + r] = value;
+                }
+            }
             std::copy_n(weights[kFirstLayers[part][1]], sizes.hidden, packed_.first_bias + part * h);
         }
         copy_rows(weights[kGeometrySecond], shape(kGeometrySecond), packed_.second, h);
         copy_columns(weights[kGeometrySecond], shape(kGeometrySecond), packed_.second_columns, h);
         copy_rows(weights[kGeometryLast], shape(kGeometryLast), packed_.last, h);
-        copy_columns(weights[kGeometryLast], shape(kGeometryLast), packed_.last_columns, kPad);
         copy_rows(weights[kBlendImage], shape(kBlendImage), packed_.image, padded(sizes.channels));
         copy_columns(weights[kBlendImage], shape(kBlendImage), packed_.image_columns, h);
         copy_rows(weights[kShLast], shape(kShLast), packed_.sh, h);
@@ -175,22 +185,30 @@ void copy_out_rows(const float* from, std::size_t step, Shape shape, float* to) 
     for (int r = 0; r < shape.rows; ++r) std::copy_n(from + r * step, shape.columns, to + r * shape.columns);
 }
 
+// Writes columns of `step` floats to a matrix of torch.
+void copy_out_columns(const float* from, std::size_t step, Shape shape, float* to) {
+    for (int r = 0; r < shape.rows; ++r) {
+        for (int k = 0; k < shape.columns; ++k) to[r * shape.columns + k] = from[k * step + r];
+    }
+}
+
 // Writes the sums to arrays in torch's shapes.
-void unpack(const Sizes& sizes, const Sums& sums, float* const* out) {
-    const std::size_t h = sizes.hidden_stride(), f = padded(sizes.features);
+void unpack(const Sizes& sizes, const std::vector<int>& columns, const Sums& sums, float* const* out) {
+    const std::size_t h = sizes.hidden_stride(), first = sizes.first_stride();
     const auto shape = [&](int weight) { return weight_shape(sizes, weight); };
     for (int part = 0; part < 3; ++part) {
-        copy_out_rows(sums.first + part * h * f, f, shape(kFirstLayers[part][0]), out[kFirstLayers[part][0]]);
+        const int weight = kFirstLayers[part][0];
+        for (int r = 0; r < sizes.hidden; ++r) {
+            for (int k = 0; k < sizes.features; ++k) {
+                out[weight][r * sizes.inputs + columns[k]] = sums.first_columns[k * first + part * h + r];
+            }
+        }
         std::copy_n(sums.first_bias + part * h, sizes.hidden, out[kFirstLayers[part][1]]);
     }
     copy_out_rows(sums.second, h, shape(kGeometrySecond), out[kGeometrySecond]);
     copy_out_rows(sums.last, h, shape(kGeometryLast), out[kGeometryLast]);
     copy_out_rows(sums.sh, h, shape(kShLast), out[kShLast]);
-    for (int r = 0; r < sizes.hidden; ++r) {
-        for (int c = 0; c < sizes.channels; ++c) {
-            out[kBlendImage][r * sizes.channels + c] = sums.image_columns[c * h + r];
-        }
-    }
+    copy_out_columns(sums.image_columns, h, shape(kBlendImage), out[kBlendImage]);
     std::copy_n(sums.second_bias, sizes.hidden, out[kGeometrySecondBias]);
     std::copy_n(sums.last_bias, 2, out[kGeometryLastBias]);
     std::copy_n(sums.out, sizes.hidden, out[kBlendOut]);
@@ -203,8 +221,10 @@ void unpack(const Sizes& sizes, const Sums& sums, float* const* out) {
 void forward(const Sizes& sizes, const Settings& settings, const float* const* weights, const Inputs& inputs,
              const Execution& execution, const Outputs& out) {
     const Loops& loops = select_loops(execution.simd);
-    const PackedWeights packed(sizes, weights);
-    const Job job{&sizes, &settings, &packed.get(), &inputs};
+    const std::vector<int> columns = feature_columns(sizes, inputs.time_planes);
+    const PackedWeights packed(sizes, weights, columns);
+    const TimeTables tables(sizes, inputs.time_planes, weights, loops);
+    const Job job{&sizes, &settings, &packed.get(), &inputs, tables.get()};
     Team team(execution.threads);
     for_blocks(team, sizes, inputs.count, [&](int, const Workspace& space, std::size_t first, int count) {
         loops.forward(job, space, first, count, out);
@@ -212,19 +232,23 @@ void forward(const Sizes& sizes, const Settings& settings, const float* const* w
 }
 
 void backward(const Sizes& sizes, const Settings& settings, const float* const* weights, const Inputs& inputs,
-              const Execution& execution, const Upstream& upstream, const Gradients& out) {
+              const Execution& execution, const Saved& saved, const Upstream& upstream, const Gradients& out) {
     const Loops& loops = select_loops(execution.simd);
-    const PackedWeights packed(sizes, weights);
-    const Job job{&sizes, &settings, &packed.get(), &inputs};
+    const std::vector<int> columns = feature_columns(sizes, inputs.time_planes);
+    const PackedWeights packed(sizes, weights, columns);
+    const TimeTables tables(sizes, inputs.time_planes, weights, loops);
+    const Job job{&sizes, &settings, &packed.get(), &inputs, tables.get()};
     Arena count;
-    place_sums(sizes, count);
+    place_sums(sizes, tables.knots(), count);
     const std::size_t size = count.used(), per_task = points_per_task(inputs.count);
     const std::size_t tasks = std::max<std::size_t>(1, (inputs.count + per_task - 1) / per_task);
-    std::vector<float> sums(tasks * size, 0.0f);
+    Buffer<float> sums(tasks * size);
+    std::fill_n(sums.data(), sums.size(), 0.0f);
     Team team(execution.threads);
     for_blocks(team, sizes, inputs.count, [&](int task, const Workspace& space, std::size_t first, int count) {
         Arena arena(sums.data() + task * size);
-        loops.backward(job, space, first, count, upstream, out, place_sums(sizes, arena));
+        loops.backward(job, space, first, count, saved, upstream, out,
+                       place_sums(sizes, tables.knots(), arena));
     });
     // The sums of all tasks are added in the order of the tasks.
     run_parts(team, size, 4096, [&](std::size_t begin, std::size_t end) {
@@ -233,7 +257,9 @@ void backward(const Sizes& sizes, const Settings& settings, const float* const* 
         }
     });
     Arena arena(sums.data());
-    unpack(sizes, place_sums(sizes, arena), out.weights);
+    const Sums total = place_sums(sizes, tables.knots(), arena);
+    unpack(sizes, columns, total, out.weights);
+    if (tables.get()) tables.write_gradients(total.tables, out.time_planes, out.weights);
 }
 
 }  // namespace fourd::heads

@@ -14,8 +14,10 @@ namespace fourd::tests {
 inline void run_heads(unsigned seed, const char* simd) {
     Random random(seed);
     const std::size_t count = static_cast<std::size_t>(random_int(random, 0, 200));
-    const heads::Sizes sizes{random_int(random, 1, 40), random_int(random, 1, 40), random_int(random, 3, 12),
-                             random_int(random, 1, 5)};
+    const int plane_count = seed % 4 < 2 ? 0 : random_int(random, 1, 4), plane_features = random_int(random, 1, 9);
+    heads::Sizes sizes{random_int(random, 1, 40), random_int(random, 1, 40), random_int(random, 3, 12),
+                       random_int(random, 1, 5), 0};
+    sizes.inputs = sizes.features + plane_count * plane_features;
     const float hostile = seed % 2 ? 0.2f : 0.0f;
     const std::size_t views = sizes.views;
     std::vector<Floats> weights, gradients;
@@ -30,6 +32,19 @@ inline void run_heads(unsigned seed, const char* simd) {
         pointers.push_back(weights[i].data());
         out.weights[i] = gradients[i].data();
     }
+    std::vector<Floats> values, to_values;
+    std::vector<heads::TimePlane> planes;
+    std::vector<float*> to_planes;
+    for (int k = 0; k < plane_count; ++k) {
+        const int rows = random_int(random, 2, 9), plane_samples = random_int(random, 2, 30);
+        const std::size_t size = static_cast<std::size_t>(rows) * plane_samples * plane_features;
+        values.push_back(random_floats(random, size, -1, 1, hostile));
+        to_values.push_back(values.back());
+        const int column = sizes.inputs - (k + 1) * plane_features;
+        planes.push_back({values.back().data(), rows, plane_samples, random_int(random, 0, 2), column});
+        to_planes.push_back(to_values.back().data());
+    }
+    const Floats coordinates = random_floats(random, 4 * count, -1.2f, 1.2f, hostile);
     const Floats features = random_floats(random, count * sizes.features, -1, 1, hostile);
     const Floats samples = random_floats(random, views * sizes.channels * count, 0, 1, hostile);
     const Floats visibility = random_floats(random, views * count, 0, 1, hostile);
@@ -37,22 +52,25 @@ inline void run_heads(unsigned seed, const char* simd) {
     const Floats xyz = random_floats(random, 3 * count, -1, 1, hostile);
     const Floats spacing = random_floats(random, count, 0, 1, hostile);
     const heads::Inputs inputs{features.data(), samples.data(), visibility.data(), shares.data(),
-                               seed % 3 ? own.data() : nullptr, xyz.data(), spacing.data(), count};
+                               seed % 3 ? own.data() : nullptr, xyz.data(), spacing.data(), count,
+                               {planes.data(), plane_count, plane_features, coordinates.data(),
+                                random_floats(random, 1, -1, 1, hostile)[0]}};
     const heads::Settings settings{0.5f, 6, -1, 5, 5, 0.25f, seed % 2 ? 0.6f : 0.0f, 1e-3f, {0, 0, -3}};
     const heads::Execution execution{random_int(random, 1, 4), simd_named(simd)};
     Floats radius(count), density(count), sh(count * heads::kSh), colour(3 * count);
-    Floats hidden(count * sizes.first_stride());
+    Floats saved(sizes.saved_size(count));
     heads::forward(sizes, settings, pointers.data(), inputs, execution,
-                   {radius.data(), density.data(), sh.data(), colour.data(), hidden.data()});
+                   {radius.data(), density.data(), sh.data(), colour.data(), saved.data()});
     Floats to_features(features.size()), to_samples(samples.size()), to_own(own.size()), to_xyz(xyz.size());
     out.features = to_features.data(), out.samples = to_samples.data(), out.xyz = to_xyz.data();
     out.own = inputs.own ? to_own.data() : nullptr;
-    const heads::Upstream upstream{radius.data(), density.data(), seed % 2 ? sh.data() : nullptr, colour.data(),
-                                   hidden.data()};
-    heads::backward(sizes, settings, pointers.data(), inputs, execution, upstream, out);
+    out.time_planes = to_planes.data();
+    const heads::Upstream upstream{radius.data(), density.data(), seed % 2 ? sh.data() : nullptr, colour.data()};
+    heads::backward(sizes, settings, pointers.data(), inputs, execution, {sh.data(), saved.data()}, upstream, out);
     if (hostile > 0) return;
     expect_finite(colour, "colours of heads", seed);
     for (const Floats& gradient : gradients) expect_finite(gradient, "gradients of weights", seed);
+    for (const Floats& gradient : to_values) expect_finite(gradient, "gradients of time planes", seed);
 }
 
 inline void run_step_images(unsigned seed, const char* simd) {

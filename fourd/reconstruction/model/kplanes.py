@@ -6,6 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from fourd.reconstruction.model.config import PlanesConfig
+from fourd.rendering.ops.heads.layers import NO_TIME_PLANES, TimePlanes
+from fourd.rendering.ops.heads.op import MAX_TIME_SAMPLES
 from fourd.rendering.ops.planes.op import sample_planes
 
 SPACE_PAIRS = ((0, 1), (0, 2), (1, 2))
@@ -57,6 +59,23 @@ class KPlanes(nn.Module):
         separate = samples.reshape(-1, self.config.levels, len(self.pairs), self.config.features)
         reduced = separate.sum(dim=2) if self.config.reduction == "sum" else separate.prod(dim=2)
         return reduced.flatten(1)
+
+    def split_features(self, coordinates: Tensor, time: float) -> tuple[Tensor, TimePlanes]:
+        """Sample the planes over space at coordinates (N, 4) in [-1, 1] that all have the same ``time``, and return the
+        time planes, from which the heads sample the other features of ``forward``. If there are too many samples along
+        the coordinates of the time planes, or if features of different planes are combined, all planes are sampled."""
+        indices = self.time_plane_indices
+        lines = [self.planes[index] for index in indices]
+        samples = sum(line.shape[1] for line in lines)
+        if self.config.reduction != "concat" or not lines or samples > MAX_TIME_SAMPLES:
+            return self(coordinates), NO_TIME_PLANES
+        others = [index for index in range(len(self.planes)) if index not in indices]
+        pairs = [self.pairs[index % len(self.pairs)] for index in range(len(self.planes))]
+        features = sample_planes(
+            coordinates, [self.planes[index] for index in others], [axis for index in others for axis in pairs[index]]
+        )
+        columns = [index * self.config.features for index in indices]
+        return features, TimePlanes(lines, [pairs[index][0] for index in indices], columns, coordinates, time)
 
     def _initial_plane(self, columns: int, rows: int, is_time: bool) -> Tensor:
         shape = (rows, columns, self.config.features)

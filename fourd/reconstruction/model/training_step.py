@@ -41,8 +41,9 @@ def evaluate_in_view(
     encoded = model.encode_sources(sources, train_encoder=train_encoder)
     channels, visibility = sample_channels(displaced, sources, encoded, OCCLUSION_FALLOFF_SPACINGS * spacing)
     view_weights = visibility.new_ones(len(visibility)) if sources.weights is None else sources.weights
+    features, time_planes = model.planes.split_features(model.coordinates(xyz.detach(), time), 2 * time - 1)
     radius, density, sh, colour = evaluate_heads(
-        model.planes(model.coordinates(xyz.detach(), time)),
+        features,
         channels,
         visibility,
         view_weights,
@@ -51,6 +52,7 @@ def evaluate_in_view(
         spacing,
         head_weights(model),
         _settings(model, viewer),
+        time_planes,
     )
     sh = sh.view(-1, 3, SH_TERMS)
     return EvaluatedPoints(displaced, radius, density, spacing, displacement, None, sh, rgb), colour

@@ -42,11 +42,12 @@ from fourd.reconstruction.training.live.session import CONTROL_SECONDS, LiveSess
 from fourd.reconstruction.training.losses.lpips import LPIPS
 from fourd.reconstruction.training.memory import HeapTrimmer, retain_freed_memory
 from fourd.reconstruction.training.metrics_log import MetricsLog, NoLog
+from fourd.reconstruction.training.points.frame_points import FramePoints
 from fourd.reconstruction.training.points.frame_store import file_name
 from fourd.reconstruction.training.run import Run, drop_stale_points
 from fourd.reconstruction.training.run_layout import VALIDATION, points_folder
 from fourd.reconstruction.training.scenes.build import build_scene
-from fourd.reconstruction.training.schedule import StepSampler, budget_spent, rate_factor
+from fourd.reconstruction.training.schedule import StepSample, StepSampler, budget_spent, rate_factor
 from fourd.reconstruction.training.step import Stepper
 from fourd.rendering.ops.gpu import CPU
 
@@ -232,10 +233,18 @@ class Trainer:
         if self.group.is_first:
             self.console.print(f"{self.run.folder}: {line}", soft_wrap=True, markup=False, highlight=False)
 
-    def _step(self, log: MetricsLog | NoLog) -> None:
-        sample = self.sampler.sample(self.done)
-        factor = rate_factor(self.config.rates, self.done, self._spent())
+    def begin_step(self, number: int) -> tuple[StepSample, FramePoints]:
+        """Return the sample and the points of a step, and start to read the points of the next step."""
+        sample = self.sampler.sample(number)
         points = self.frames.get(sample.frame)
+        following = self.sampler.sample(number + self.group.size).frame
+        if following != sample.frame:
+            self.frames.prepare(following)
+        return sample, points
+
+    def _step(self, log: MetricsLog | NoLog) -> None:
+        sample, points = self.begin_step(self.done)
+        factor = rate_factor(self.config.rates, self.done, self._spent())
         frame_time = self.run.capture.time(sample.frame)
         update = self.done // self.group.size
         result = self.stepper.step(points, frame_time, sample, factor, update)

@@ -41,7 +41,8 @@ def surface_depth(points: SizedPoints, camera: Camera, near: float) -> Tensor:
         ones = np.ones((points.xyz.shape[0], 1), np.float32)
         arrays = (as_array(points.xyz), ones, as_array(points.radius), as_array(points.density))
         _, alpha, depth = render_points_numpy(*arrays, camera, layers=SURFACE_LAYERS, near=near)
-        return torch.from_numpy(np.where(alpha > 0.5, depth, np.float32(np.inf)))
+        np.copyto(depth, np.float32(np.inf), where=~(alpha > 0.5))
+        return torch.from_numpy(depth)
     colour = torch.ones_like(points.radius)[:, None]
     with torch.no_grad():
         render = render_points(

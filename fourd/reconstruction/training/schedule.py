@@ -65,6 +65,7 @@ class StepSampler:
     def use(self, training: list[int]) -> None:
         """Sample only the cameras ``training``, as targets and as sources."""
         self._training = training
+        self._known: dict[int, StepSample] = {}
         self._pools = {
             target: source_pool(self._cameras, target, training, self._config.neighbour_pool, self._focus)
             for target in training
@@ -78,6 +79,12 @@ class StepSampler:
         consists of F * V of its own steps, in which it samples every training view of each of its frames exactly once.
         Steps of other ranks do not count.
         """
+        if step not in self._known:
+            # Two samples are kept, because a step also asks for that of the next step, in order to prepare it.
+            self._known = {**dict([*self._known.items()][-1:]), step: self._draw(step)}
+        return self._known[step]
+
+    def _draw(self, step: int) -> StepSample:
         views, group = len(self._training), self._group
         count = len(self._frames) * views
         epoch, place = divmod(step // group.size, count)

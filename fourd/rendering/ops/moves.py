@@ -7,11 +7,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from fourd.base.cameras import Camera
 from fourd.rendering.ops.loading import as_array, load_native, thread_count
 from fourd.rendering.ops.points.validation import pack_camera
+
+Floats = NDArray[np.float32]
 
 
 def has_kernels(*tensors: Tensor | slice) -> bool:
@@ -99,27 +102,20 @@ def add_magnitudes(rows: Tensor, gradient: Tensor, spacing: Tensor, total: Tenso
 
 
 def adam(
-    parameters: Sequence[Tensor],
-    gradients: Sequence[Tensor],
-    moments: Sequence[tuple[Tensor, Tensor]],
+    parameters: Sequence[Floats],
+    gradients: Sequence[Floats],
+    firsts: Sequence[Floats],
+    seconds: Sequence[Floats],
     steps: Sequence[int],
     rates: Sequence[float],
     betas: tuple[float, float],
     epsilon: float,
 ) -> None:
-    """Update all parameters by Adam. ``steps`` are the numbers of the parameters' updates, from 1."""
+    """Update all parameters, whose first and second moments are given, by Adam. ``steps`` are the numbers of the
+    parameters' updates, from 1."""
     sizes = [rate / (1 - betas[0] ** step) for rate, step in zip(rates, steps, strict=True)]
-    load_native().adam(
-        [as_array(each) for each in parameters],
-        [as_array(each) for each in gradients],
-        [as_array(first) for first, _ in moments],
-        [as_array(second) for _, second in moments],
-        sizes,
-        [(1 - betas[1] ** step) ** 0.5 for step in steps],
-        *betas,
-        epsilon,
-        _threads(),
-    )
+    roots = [(1 - betas[1] ** step) ** 0.5 for step in steps]
+    load_native().adam(parameters, gradients, firsts, seconds, sizes, roots, *betas, epsilon, _threads())
 
 
 def _rates(rate: float | Tensor) -> np.ndarray:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import linear
 
-from fourd.rendering.ops.heads.layers import HeadSettings, HeadWeights
+from fourd.rendering.ops.heads.layers import NO_TIME_PLANES, HeadSettings, HeadWeights, TimePlanes
 from fourd.rendering.ops.heads.op import evaluate_heads
 from fourd.rendering.ops.heads.reference import evaluate_heads_reference
 from fourd.rendering.ops.loading import load_native
@@ -49,17 +49,36 @@ def make_points(
     return [None if each is None else torch.from_numpy(each.astype(np.float32)) for each in arrays]
 
 
+def make_time_planes(
+    rng: np.random.Generator, count: int, features: int, columns: list[int], time: float
+) -> TimePlanes:
+    """Return one plane for each of the given columns, over x, y, z, x and so on. Some points are outside the planes."""
+    coordinates = rng.uniform(-1.1, 1.1, (count, 4))
+    coordinates[::7, :3] = np.linspace(-1, 1, 8)[rng.integers(0, 8, (len(coordinates[::7]), 3))]
+    samples = (8, 15, 2, 23, 8, 4)
+    arrays = [rng.standard_normal((rows + 2, samples[rows % 6], features)) for rows in range(len(columns))]
+    planes = [torch.from_numpy(each.astype(np.float32)) for each in arrays]
+    axes = [index % 3 for index in range(len(columns))]
+    return TimePlanes(planes, axes, columns, torch.from_numpy(coordinates.astype(np.float32)), time)
+
+
 def values_and_gradients(
-    function, points: list[Tensor | None], weights: HeadWeights, settings: HeadSettings, upstream: list[Tensor]
+    function,
+    points: list[Tensor | None],
+    weights: HeadWeights,
+    settings: HeadSettings,
+    upstream: list[Tensor],
+    time_planes: TimePlanes = NO_TIME_PLANES,
 ) -> dict[str, Tensor]:
     names = ("features", "samples", "visibility", "view_weights", "own", "xyz", "spacing")
     given = dict(zip(names, points, strict=True))
     differentiable = {name: given[name] for name in ("features", "samples", "own", "xyz")}
     leaves = {name: each.clone().requires_grad_() for name, each in differentiable.items() if each is not None}
     free = HeadWeights(*(weight.clone().requires_grad_() for weight in weights.tensors))
-    found = function(*{**given, **leaves}.values(), free, settings)
+    planes = [plane.clone().requires_grad_() for plane in time_planes.planes]
+    found = function(*{**given, **leaves}.values(), free, settings, replace(time_planes, planes=planes))
     total = sum((one * other.to(one)).sum() for one, other in zip(found, upstream, strict=True))
-    everything = {**leaves, **vars(free)}
+    everything = {**leaves, **vars(free), **{f"plane {index}": plane for index, plane in enumerate(planes)}}
     gradients = torch.autograd.grad(total, list(everything.values()))
     values = {name: value.detach() for name, value in zip(NAMES, found, strict=True)}
     return {**values, **{f"gradient of {name}": each for name, each in zip(everything, gradients, strict=True)}}
@@ -140,6 +159,46 @@ def test_values_and_gradients_equal_the_reference(
         assert float((error > 1e-4 * scale).float().mean()) <= 1e-3, name
 
 
+@pytest.mark.parametrize("simd", ["baseline", "avx2", "avx512"])
+@pytest.mark.parametrize(
+    ("count", "features", "columns", "time"),
+    [(1500, 8, [24, 32, 40, 72, 80, 88], 0.3), (90, 5, [40, 0], 1.0), (65, 3, [7, 1, 10, 4], -2.0)],
+)
+def test_features_of_time_planes_equal_the_reference(
+    count: int,
+    features: int,
+    columns: list[int],
+    time: float,
+    simd: str,
+    rng: np.random.Generator,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Catches knots of planes with different resolutions that are mixed up, times between two rows, weights of columns
+    that are exchanged, and axes without planes."""
+    if not load_native().simd_available(simd):
+        pytest.skip(f"this machine does not run {simd}")
+    monkeypatch.setenv("FOURD_SIMD", simd)
+    others = 51
+    weights = make_weights(rng, others + len(columns) * features, 24, 5)
+    exact = HeadWeights(*(weight.double() for weight in weights.tensors))
+    points, upstream = make_points(rng, count, others, 5, 2, True), make_upstream(rng, count)
+    planes = make_time_planes(rng, count, features, columns, time)
+    assert planes.coordinates is not None
+    doubles = [None if each is None else each.double() for each in points]
+    exact_planes = replace(
+        planes, planes=[plane.double() for plane in planes.planes], coordinates=planes.coordinates.double()
+    )
+    found = values_and_gradients(evaluate_heads, points, weights, SETTINGS, upstream, planes)
+    expected = values_and_gradients(evaluate_heads_reference, doubles, exact, SETTINGS, upstream, exact_planes)
+    for name, other in expected.items():
+        # Some hidden values are so near 0 that rounding decides whether ReLU clamps them. This changes few gradients.
+        is_sum = name.removeprefix("gradient of ") in vars(weights) or "plane" in name
+        scale = max(float(other.abs().max()), 0.1 * count**0.5 if is_sum else 0.0)
+        error = (found[name] - other).abs()
+        assert float(error.mean()) <= 1e-5 * scale, name
+        assert float((error > 1e-3 * scale).float().mean()) <= 1e-2, name
+
+
 @pytest.mark.parametrize("needed", [("colour",), ("radius", "density"), ("sh",)])
 def test_outputs_that_the_loss_does_not_use_add_nothing(needed: tuple[str, ...], rng: np.random.Generator) -> None:
     """Catches gradients of unused outputs that are read although they do not exist."""
@@ -157,31 +216,35 @@ def test_outputs_that_the_loss_does_not_use_add_nothing(needed: tuple[str, ...],
 
 def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a sum over points in an order that depends on thread scheduling."""
-    weights, points = make_weights(rng, 48, 32, 11), make_points(rng, 9001, 48, 11, 4, True)
-    upstream = make_upstream(rng, 9001)
+    weights, points = make_weights(rng, 72, 32, 11), make_points(rng, 9001, 48, 11, 4, True)
+    upstream, planes = make_upstream(rng, 9001), make_time_planes(rng, 9001, 8, [8, 24, 64], 0.1)
     results = []
     for threads in ("1", "2", "5"):
         monkeypatch.setenv("FOURD_THREADS", threads)
-        results.append(values_and_gradients(evaluate_heads, points, weights, SETTINGS, upstream))
+        results.append(values_and_gradients(evaluate_heads, points, weights, SETTINGS, upstream, planes))
     for other in results[1:]:
         assert all(torch.equal(value, other[name]) for name, value in results[0].items())
 
 
 def test_no_points_give_zero_gradients(rng: np.random.Generator) -> None:
     """Catches gradients of weights that are not initialised if there are no points."""
-    weights, points = make_weights(rng, 8, 8, 11), make_points(rng, 0, 8, 11, 4, True)
-    found = values_and_gradients(evaluate_heads, points, weights, SETTINGS, make_upstream(rng, 0))
+    weights, points = make_weights(rng, 12, 8, 11), make_points(rng, 0, 8, 11, 4, True)
+    planes = make_time_planes(rng, 0, 2, [2, 6], 0.5)
+    found = values_and_gradients(evaluate_heads, points, weights, SETTINGS, make_upstream(rng, 0), planes)
     assert found["colour"].shape == (0, 3)
     assert all(not value.any() for name, value in found.items() if name.startswith("gradient"))
 
 
 def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
     """Catches a fake implementation that returns wrong shapes, and an operator schema that omits a mutated argument."""
-    weights, points = make_weights(rng, 9, 8, 5), make_points(rng, 6, 9, 5, 2, True)
+    weights, points = make_weights(rng, 13, 8, 5), make_points(rng, 6, 9, 5, 2, True)
     for index in (0, 1, 4, 5):
         points[index].requires_grad_()  # type: ignore[union-attr]
     free = [weight.requires_grad_() for weight in weights.tensors]
-    torch.library.opcheck(torch.ops.fourd.evaluate_heads.default, (*points, free, SETTINGS.numbers))
+    planes = make_time_planes(rng, 6, 2, [3, 9], 0.5)
+    values = [plane.requires_grad_() for plane in planes.planes]
+    lines = (values, planes.axes, planes.columns, planes.coordinates, planes.time)
+    torch.library.opcheck(torch.ops.fourd.evaluate_heads.default, (*points, *lines, free, SETTINGS.numbers))
 
 
 def test_mismatched_shapes_are_named(rng: np.random.Generator) -> None:
@@ -191,3 +254,8 @@ def test_mismatched_shapes_are_named(rng: np.random.Generator) -> None:
         evaluate_heads(points[0], points[1][:, :, :4], *points[2:], weights, SETTINGS)
     with pytest.raises(ValueError, match="weights: expected the shapes of the layers"):
         evaluate_heads(*points, replace(weights, sh_last=weights.sh_last[:47]), SETTINGS)
+    planes = make_time_planes(rng, 6, 2, [0, 1], 0.5)
+    with pytest.raises(ValueError, match="columns: expected different inputs for different planes"):
+        evaluate_heads(*points, make_weights(rng, 13, 8, 5), SETTINGS, planes)
+    with pytest.raises(ValueError, match="axes: expected 0, 1 or 2"):
+        evaluate_heads(*points, make_weights(rng, 13, 8, 5), SETTINGS, replace(planes, axes=[0, 3], columns=[0, 4]))

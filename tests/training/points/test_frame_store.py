@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 from fourd.base.cameras import Camera
+from fourd.base.errors import UserError
 from fourd.reconstruction.training.points.frame_points import FramePoints
 from fourd.reconstruction.training.points.frame_store import FrameStore
 from fourd.reconstruction.training.points.scratch import Scratch
@@ -92,3 +94,31 @@ def test_points_do_not_leave_a_silhouette() -> None:
     assert torch.equal(got[2], moved[2]), "outside before and after"
     assert torch.equal(got[3], moved[3]), "a move out of the image, where the matte is unknown"
     assert torch.equal(got[4], moved[4]), "a move behind the camera"
+
+
+def test_prepared_points_are_those_that_were_evicted(tmp_path: Path) -> None:
+    """Catches points that are read before the thread has written them, and prepared points of another frame."""
+    store = FrameStore(Scratch(tmp_path / "scratch"), 4, lambda frame: fresh(20_000, frame), 1, None)
+    for turn in range(1, 4):
+        for frame in range(4):
+            store.get(frame).xyz[0] = 10 * turn + frame
+            store.prepare((frame + turn) % 4)
+    assert store.cached_count == 1
+    store.prepare(2)
+    store.save(tmp_path / "saved")
+    assert [float(store.get(frame).xyz[0, 0]) for frame in range(4)] == [30, 31, 32, 33]
+    again = FrameStore(Scratch(tmp_path / "other"), 4, lambda frame: fresh(20_000, frame), 1, tmp_path / "saved")
+    again.prepare(3)
+    assert float(again.get(3).xyz[0, 0]) == 33
+    again.close()
+
+
+def test_evicted_points_that_cannot_be_written_end_training(tmp_path: Path) -> None:
+    """Catches an error of the thread that nobody sees: the frame's training would be lost."""
+    scratch = Scratch(tmp_path / "scratch")
+    store = FrameStore(scratch, 3, lambda frame: fresh(20_000, frame), 1, None)
+    store.get(0)
+    scratch.folder.rmdir()
+    store.get(1)
+    with pytest.raises(UserError, match="expected free disk space for the points that do not fit in memory"):
+        store.save(tmp_path / "saved")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 
 import numpy as np
@@ -88,8 +89,8 @@ def test_kernels_equal_plain_torch(update: Update, rng: np.random.Generator, mon
 
 
 def test_dense_adam_equals_torch_adam(rng: np.random.Generator) -> None:
-    """Catches a wrong bias correction, a parameter whose gradient has another memory format, and parameters without a
-    gradient that are updated or counted."""
+    """Catches a wrong bias correction, a parameter whose gradient has another memory format, parameters without a
+    gradient that are updated or counted, and arrays of a state that has been replaced."""
 
     def parameters() -> list[torch.nn.Parameter]:
         generator = torch.Generator().manual_seed(0)
@@ -100,7 +101,9 @@ def test_dense_adam_equals_torch_adam(rng: np.random.Generator) -> None:
     ours, theirs = parameters(), parameters()
     options = {"lr": 0.01, "betas": (0.9, 0.99), "eps": 1e-15}
     optimizers = DenseAdam(ours, **options), torch.optim.Adam(theirs, **options)  # type: ignore[arg-type]
-    for number in range(5):
+    for number in range(8):
+        if number == 5:
+            optimizers[0].load_state_dict(copy.deepcopy(optimizers[0].state_dict()))
         for one, other in zip(ours, theirs, strict=True):
             gradient = torch.from_numpy(rng.standard_normal(one.shape).astype(np.float32))
             if gradient.ndim == 4:

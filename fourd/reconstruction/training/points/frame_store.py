@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
 import torch
@@ -22,7 +23,10 @@ from fourd.rendering.ops.gpu import CPU
 
 class FrameStore:
     """Points of all frames. Only the most recently used frames are kept in memory and the others are stored in files,
-    so that memory use does not grow with the number of frames."""
+    so that memory use does not grow with the number of frames.
+
+    On a CPU, one thread writes evicted points and reads the points that :meth:`prepare` names, while the caller works.
+    The thread does this in the order of the calls, so the results do not depend on its speed."""
 
     def __init__(
         self,
@@ -48,6 +52,9 @@ class FrameStore:
         self._saved = saved
         self._cache = _SpillingCache(memory_mb * 2**20, self._spill)
         self._spilled: set[int] = set()
+        self._worker = ThreadPoolExecutor(1, "points")
+        self._written: Future[None] | None = None
+        self._ahead: tuple[int, Future[FramePoints]] | None = None
         self._device = device
         self.frames = frames
 
@@ -59,12 +66,22 @@ class FrameStore:
     def get(self, frame: int) -> FramePoints:
         """Return the points of a frame. The caller may change them in place until the next call of this method; later
         changes may be lost."""
+        ahead, self._ahead = self._ahead, None
         if frame not in self._cache:
-            self._cache[frame] = self._load(frame).to(self._device).copy_outside_heap()
+            points = ahead[1].result() if ahead is not None and ahead[0] == frame else self._load(frame)
+            self._cache[frame] = points
         return self._cache[frame]
+
+    def prepare(self, frame: int) -> None:
+        """Start reading the points of a frame if they are stored in a file, so that the next call of :meth:`get` can
+        return them at once. The points of the frame must not change before that call."""
+        file = self._newest_file(frame)
+        if frame not in self._cache and file is not None and self._device.type == "cpu":
+            self._ahead = frame, self._worker.submit(self._read, frame, file)
 
     def save(self, folder: Path, frames: Iterable[int] | None = None) -> None:
         """Write the points of the given frames, or of every frame, to ``folder``, one frame at a time."""
+        self._settle()
         for frame in range(self.frames) if frames is None else frames:
             with atomic_path(folder / file_name(frame)) as temporary:
                 self._write(frame, temporary)
@@ -74,6 +91,7 @@ class FrameStore:
         """Remove the scratch folder. Call this method when the store is no longer needed. If it is not called, the
         folder is removed when the object is deleted, and Python ignores a Ctrl-C during this deletion.
         """
+        self._worker.shutdown()
         self._scratch.close()
 
     def _write(self, frame: int, target: Path) -> None:
@@ -87,13 +105,22 @@ class FrameStore:
             shutil.copyfile(file, target)
 
     def _load(self, frame: int) -> FramePoints:
+        self._settle()
         file = self._newest_file(frame)
-        if file is None:
-            return self._make(frame)
+        return self._make(frame).to(self._device).copy_outside_heap() if file is None else self._read(frame, file)
+
+    def _read(self, frame: int, file: Path) -> FramePoints:
         named = load_points(file)
         if "spacing" not in named:  # the file was written by an older version of fourd
             named["spacing"] = self._make(frame).spacing
-        return FramePoints.from_tensors(named)
+        return FramePoints.from_tensors(named).to(self._device).copy_outside_heap()
+
+    def _settle(self) -> None:
+        """Wait until the thread is idle. Raises UserError if evicted points could not be written."""
+        wait([self._ahead[1]] if self._ahead is not None else [])
+        written, self._written = self._written, None
+        if written is not None:
+            written.result()
 
     def _newest_file(self, frame: int) -> Path | None:
         """Return the newest file with the frame's points, or None if the frame was never written."""
@@ -101,7 +128,17 @@ class FrameStore:
         return None if folder is None else folder / file_name(frame)
 
     def _spill(self, frame: int, points: FramePoints) -> None:
+        """Write evicted points. At most one frame waits to be written, because it needs memory."""
+        self._settle()
         file = self._scratch.folder / file_name(frame)
+        self._spilled.add(frame)
+        if self._device.type == "cpu":
+            self._written = self._worker.submit(self._write_evicted, file, points)
+        else:
+            self._write_evicted(file, points)
+
+    @staticmethod
+    def _write_evicted(file: Path, points: FramePoints) -> None:
         try:
             save_file(points.tensors(), file)
         except (OSError, SafetensorError) as error:
@@ -110,7 +147,6 @@ class FrameStore:
                 f"{file}: expected free disk space for the points that do not fit in memory, got '{reason}'; "
                 "free some space and add --resume"
             ) from error
-        self._spilled.add(frame)
 
 
 def load_points(file: Path) -> dict[str, Tensor]:

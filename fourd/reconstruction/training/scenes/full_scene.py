@@ -97,7 +97,7 @@ class FullScene:
     def xyz_rate(self, points: OptimizedPoints, factor: float) -> Tensor:
         if points.cloud is not self.background.points:
             return self.foreground.xyz_rate(points, factor)
-        return self.config.background.xyz_rate * factor * points.cloud.spacing[points.rows][:, None]
+        return self.config.background.xyz_rate * factor * points.cloud.spacing.index_select(0, points.rows)[:, None]
 
     def least_depth(self, points: OptimizedPoints) -> float:
         return self.background.static_near if points.cloud is self.background.points else self.near
@@ -170,11 +170,18 @@ class FullScene:
             train_encoder = sample.is_plate and step % self.config.background.encoder_every == 0
             sources = self.background.sources(sample.sources, train_encoder=train_encoder)
             sources = sources.weighted(sample.source_weights)
-        leaves = {name: value[rows].requires_grad_() for name, value in points.parameters.items()}
+        leaves = {name: value.index_select(0, rows).requires_grad_() for name, value in points.parameters.items()}
         # The background has no residual field, so shadows are computed at the points' own positions.
         shadow = None if model.shadow is None or sample.is_plate else model.shadow(leaves["xyz"], time)
         evaluated, colour = evaluate_in_view(
-            model, leaves["xyz"], points.spacing[rows], 0.0, camera, sources, rgb=leaves.get("rgb"), shadow=shadow
+            model,
+            leaves["xyz"],
+            points.spacing.index_select(0, rows),
+            0.0,
+            camera,
+            sources,
+            rgb=leaves.get("rgb"),
+            shadow=shadow,
         )
         return OptimizedPoints(points, rows, leaves, evaluated, colour, sources)
 

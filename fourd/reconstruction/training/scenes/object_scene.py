@@ -88,9 +88,10 @@ class ObjectScene:
 
     def xyz_rate(self, points: OptimizedPoints, factor: float) -> Tensor:
         rates = self.config.rates
-        rate = rates.xyz_spacings * factor * points.cloud.spacing[points.rows]
+        rate = rates.xyz_spacings * factor * points.cloud.spacing.index_select(0, points.rows)
         if rates.xyz_halving_updates:
-            rate = rate / (1 + points.cloud.optimizer.steps[points.rows] / rates.xyz_halving_updates)
+            steps = points.cloud.optimizer.steps.index_select(0, points.rows)
+            rate = rate / (1 + steps / rates.xyz_halving_updates)
         return rate[:, None]
 
     def least_depth(self, points: OptimizedPoints) -> float:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, field, fields
 
 from torch import Tensor
 
 
 @dataclass(frozen=True)
 class HeadWeights:
-    """Weights (outputs, inputs) and biases (outputs,) of the linear layers, for F features, layers of width H, C image
-    channels and 48 SH coefficients. The order of the fields is that of ``enum Weight`` in ``csrc/heads/heads.h``.
+    """Weights (outputs, inputs) and biases (outputs,) of the linear layers, for F features in all, layers of width H, C
+    image channels and 48 SH coefficients. The order of the fields is that of ``enum Weight`` in ``csrc/heads/heads.h``.
 
     Attributes:
         geometry_first: (H, F).
@@ -42,6 +42,30 @@ class HeadWeights:
     @property
     def tensors(self) -> list[Tensor]:
         return [getattr(self, each.name) for each in fields(self)]
+
+
+@dataclass(frozen=True)
+class TimePlanes:
+    """Features that are sampled from planes over one coordinate of space and time, at one time for all N points. They
+    are inputs of the first layers, as if they were columns of the features.
+
+    Attributes:
+        planes: K planes (rows, samples, features). Rows are spaced evenly over time, samples over the coordinate.
+        axes: the coordinate of each plane: 0, 1 or 2.
+        columns: the input of the first layers that is the first feature of each plane. The other features of the plane
+            follow it.
+        coordinates: (N, 4) x, y, z, t in [-1, 1]. Values outside [-1, 1] are clamped. The time is not read.
+        time: time of all points in [-1, 1].
+    """
+
+    planes: list[Tensor] = field(default_factory=list)
+    axes: list[int] = field(default_factory=list)
+    columns: list[int] = field(default_factory=list)
+    coordinates: Tensor | None = None
+    time: float = 0.0
+
+
+NO_TIME_PLANES = TimePlanes()
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from fourd.rendering.ops.blend.reference import LOGIT_RANGE
-from fourd.rendering.ops.heads.layers import HeadSettings, HeadWeights
+from fourd.rendering.ops.heads.layers import NO_TIME_PLANES, HeadSettings, HeadWeights, TimePlanes
+from fourd.rendering.ops.planes.reference import sample_planes_reference
 from fourd.rendering.ops.shade.harmonics import SH_CONSTANT, SH_TERMS, directional_terms
 
 
@@ -21,8 +22,10 @@ def evaluate_heads_reference(
     spacing: Tensor,
     weights: HeadWeights,
     settings: HeadSettings,
+    time_planes: TimePlanes = NO_TIME_PLANES,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Compute the result of :func:`fourd.rendering.ops.heads.op.evaluate_heads` on any device and in any dtype."""
+    features = _with_time_features(features, time_planes)
     radius, density = _geometry(features, weights, settings)
     sh = torch.relu(functional.linear(features, weights.sh_first, weights.sh_first_bias))
     sh = functional.linear(sh, weights.sh_last, weights.sh_last_bias)
@@ -43,6 +46,23 @@ def evaluate_heads_reference(
     basis = torch.stack([torch.full_like(x, SH_CONSTANT), *directional_terms(x, y, z)], dim=-1)
     directional = torch.tanh((sh.reshape(-1, 3, SH_TERMS) * basis[:, None]).sum(dim=-1))
     return radius * spacing, density, sh, blended + settings.sh_range * directional
+
+
+def _with_time_features(features: Tensor, time_planes: TimePlanes) -> Tensor:
+    """Insert the features of time planes at their columns."""
+    if time_planes.coordinates is None:
+        return features
+    times = torch.full_like(features[:, :1], time_planes.time)
+    coordinates = torch.cat([time_planes.coordinates[:, :3], times], dim=1)
+    rest, parts = features, list[Tensor]()
+    ordered = sorted(
+        zip(time_planes.columns, time_planes.planes, time_planes.axes, strict=True), key=lambda row: row[0]
+    )
+    for column, plane, axis in ordered:
+        before = column - sum(part.shape[1] for part in parts)
+        parts += [rest[:, :before], sample_planes_reference(coordinates, [plane], [axis, 3])]
+        rest = rest[:, before:]
+    return torch.cat([*parts, rest], dim=1)
 
 
 def _geometry(features: Tensor, weights: HeadWeights, settings: HeadSettings) -> tuple[Tensor, Tensor]:
