@@ -19,6 +19,7 @@ import torch
 
 from fourd.rendering.ops.gpu import cuda_unavailable_reason
 from tests.captures import write_ball_capture
+from tests.processes.shared import shared_parsers
 
 SEED = "FOURD_TEST_SEED"
 
@@ -83,6 +84,12 @@ def _nothing_waits_for_the_disk() -> Iterator[None]:
     causes, would show the difference, and some commands would wait for the disk most of their time."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda descriptor: None)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _parsers_are_shared() -> Iterator[None]:
+    with shared_parsers():
         yield
 
 

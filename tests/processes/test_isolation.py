@@ -18,6 +18,12 @@ from fourd.base.processes.isolation import ParserProcess
 PARSERS = "tests.processes.parsers"
 
 
+@pytest.fixture(autouse=True)
+def _no_shared_parsers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The child processes end as they do in programs; see :func:`tests.processes.shared.shared_parsers`."""
+    monkeypatch.setattr(ParserProcess, "__exit__", lambda self, *exception: self.close())
+
+
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     path = tmp_path / "file.bin"
