@@ -153,6 +153,17 @@ def _parse_file(path: Path) -> yaml.Node | None:
         raise UserError(f"{path}: expected YAML, got an error: {reason}; fix the file") from error
 
 
+def read_text_entry(path: Path, key: str) -> str | None:
+    """Return the text of a key of the mapping in a YAML file, or None if there is no such text.
+
+    Raises:
+        UserError: if the file cannot be read or is not YAML.
+    """
+    root = _parse_file(path)
+    value = _entry(root, key) if isinstance(root, yaml.MappingNode) else None
+    return value.value or None if isinstance(value, yaml.ScalarNode) and value.tag == _STRING_TAG else None
+
+
 def _parse_value(text: str, label: str) -> yaml.Node:
     try:
         node = yaml.compose(text, Loader=yaml.SafeLoader)

@@ -7,17 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from fourd.base.configs import read_text_entry
 from fourd.base.errors import UserError
-from fourd.base.limits import read_text_limited
 from fourd.reconstruction.training.run_layout import CONFIG_NAME
 from fourd.recording.capture import Capture, open_capture
+from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
 from fourd.recording.capture.layout import VIDEOS, camera_folders, find_videos
 from fourd.scene import SceneManifest
 
-_CALIBRATION = ("intri.yml", "extri.yml")
 _WORK_SUFFIX, _WORK_RUN, _WORK_CAPTURES = ".work", "run", ("repaired", "capture")
 """Names that ``fourd make`` gives to the folder of intermediate results, and to the run and captures in it."""
 _CACHE_MB = 128
@@ -26,7 +25,7 @@ _CACHE_MB = 128
 def is_capture(folder: Path) -> bool:
     """Return whether a folder has the calibration and the images or videos of a capture."""
     has_pictures = (folder / "images").is_dir() or (folder / VIDEOS).is_dir()
-    return has_pictures and all((folder / name).is_file() for name in _CALIBRATION)
+    return has_pictures and all((folder / name).is_file() for name in (INTRINSICS_NAME, EXTRINSICS_NAME))
 
 
 def require_capture(folder: Path) -> Path:
@@ -58,11 +57,10 @@ def find_capture(scene: Path) -> Path | None:
 def _capture_of_run(run: Path) -> Path | None:
     """Return the path of the capture in a run's config.yaml, or None if there is none."""
     try:
-        content = yaml.safe_load(read_text_limited(run / CONFIG_NAME))
-    except (OSError, ValueError, UserError, yaml.YAMLError, RecursionError):
+        named = read_text_entry(run / CONFIG_NAME, "capture")
+    except (OSError, ValueError, UserError):
         return None
-    named = content.get("capture") if isinstance(content, dict) else None
-    return Path(named) if isinstance(named, str) and named else None
+    return None if named is None else Path(named)
 
 
 @dataclass(frozen=True, eq=False)
