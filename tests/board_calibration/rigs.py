@@ -11,7 +11,7 @@ from fourd.base.cameras import Camera
 from fourd.recording.board_calibration.adjustment.rig import Corners, Poses, RigState, project
 from fourd.recording.board_calibration.detection import BoardView
 from fourd.recording.board_calibration.fit import RigInput
-from fourd.recording.synth.board_videos import BoardSettings, board_pose, rig_cameras
+from fourd.recording.synth.board_videos import BoardSettings, board_path, rig_cameras
 
 
 @dataclass(frozen=True)
@@ -79,15 +79,13 @@ def _film(settings: BoardSettings, camera: Camera, xyz: np.ndarray, time: float,
     """Pixels (N, 2) of corners. Each corner is projected with the pose of the board at the time at which the corner's
     row or column of the image is read."""
 
-    def at(when: float, some: np.ndarray) -> np.ndarray:
-        pose = board_pose(settings, when)
-        state = RigState((camera,), Poses(pose.rotation[None], pose.translation[None]))
-        return project(state, flat_corners(some)).pixels
+    def at(times: np.ndarray) -> np.ndarray:
+        corners = replace(flat_corners(xyz), board=np.arange(len(xyz)))
+        return project(RigState((camera,), Poses(*board_path(settings, times))), corners).pixels
 
-    pixels = at(time, xyz)
+    pixels = at(np.full(len(xyz), time))
     for _ in range(4 if filming.readout else 0):
-        times = time + filming.readout * (pixels[:, 0 if filming.across else 1] / settings.size - 0.5)
-        pixels = np.concatenate([at(float(when), each[None]) for when, each in zip(times, xyz, strict=True)])
+        pixels = at(time + filming.readout * (pixels[:, 0 if filming.across else 1] / settings.size - 0.5))
     return pixels
 
 

@@ -15,6 +15,9 @@ from tests.raster.clouds import NAMES, Cloud, cloud_with_invalid_points, random_
 
 NEAR = 0.01
 SIMD = ("baseline", "avx2", "avx512")
+ROUNDING = 2e-5
+"""Rounding error of a sum over the pixels of an image whose terms, of the order of 1, cancel. If one disc covers the whole
+image, its gradients are the only ones and can be this small."""
 
 
 def render(cloud: Cloud, camera: Camera, layers: int, backend: str, **more: object) -> tuple[Tensor, Tensor, Tensor]:
@@ -40,11 +43,11 @@ def output_weights(rng: np.random.Generator, camera: Camera, channels: int) -> t
 
 def assert_gradients_agree(got: list[Tensor], expected: list[Tensor]) -> None:
     """Assert that gradients match. The tolerance is 1e-4 of the largest gradient in the array, because rounding errors
-    of sums are proportional to the largest gradient."""
+    of sums are proportional to the largest gradient, plus ROUNDING."""
     for name, value, wanted in zip(NAMES, got, expected, strict=True):
         scale = float(wanted.abs().max()) if wanted.numel() else 0.0
         worst = float((value - wanted).abs().max()) if wanted.numel() else 0.0
-        assert worst <= 1e-4 * scale, f"{name}: off by {worst:.3g} at a scale of {scale:.3g}"
+        assert worst <= 1e-4 * scale + ROUNDING, f"{name}: off by {worst:.3g} at a scale of {scale:.3g}"
 
 
 @pytest.mark.parametrize(

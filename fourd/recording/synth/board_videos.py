@@ -123,18 +123,25 @@ def rig_cameras(settings: BoardSettings) -> list[Camera]:
 def board_pose(settings: BoardSettings, time: float) -> BoardPose:
     """Return the pose of the board at a ``time`` in frames. The board moves smoothly, and its front faces the middle of
     the cameras' arc."""
+    rotations, translations = board_path(settings, np.array([time]))
+    return BoardPose(rotations[0], translations[0])
+
+
+def board_path(settings: BoardSettings, times: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the rotations (N, 3, 3) and the translations (N, 3) in metres of the board's poses at ``times`` (N,) in
+    frames. See board_pose."""
     generator = np.random.default_rng([settings.seed, 2])
     phases, cycles = generator.uniform(0, 2 * np.pi, 6), generator.uniform(2.0, 5.0, 6)
     # Neither the speed of the board nor the motion blur depends on the number of frames.
-    waves = np.sin(2 * np.pi * cycles * time / 60 + phases)
-    tilts = np.radians(TILT_DEGREES) * waves[3:] * (1.0, 1.0, 1.5)
+    waves = np.sin(2 * np.pi * cycles * times[:, None] / 60 + phases)
+    tilts = np.radians(TILT_DEGREES) * waves[:, 3:] * (1.0, 1.0, 1.5)
     # The base rotation makes the board upright: the x axis of the board points to the right, and its front faces the
     # direction -y.
     upright = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-    rotation = np.asarray(upright @ Rotation.from_rotvec(tilts).as_matrix())
-    middle = REACH_M * waves[:3] * (1.0, 0.8, 0.8)
+    rotations = np.asarray(upright @ Rotation.from_rotvec(tilts).as_matrix())
+    middles = REACH_M * waves[:, :3] * (1.0, 0.8, 0.8)
     width, height = settings.board.size_m
-    return BoardPose(rotation, middle - rotation @ (width / 2, height / 2, 0.0))
+    return rotations, middles - rotations @ (width / 2, height / 2, 0.0)
 
 
 def write_grey_video(path: Path, pictures: Iterator[Picture], fps: int) -> None:

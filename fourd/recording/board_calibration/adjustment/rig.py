@@ -280,5 +280,7 @@ def cross_matrices(vectors: Array) -> Array:
     """Return the cross-product matrices (N, 3, 3) of the vectors (N, 3). The cross-product matrix M of a vector v
     satisfies M @ u = v x u for every vector u."""
     x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], axis=1)
+    matrices = np.zeros((len(vectors), 3, 3))
+    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
+    matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = z, -y, x
+    return matrices
