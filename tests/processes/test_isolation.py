@@ -14,6 +14,7 @@ import pytest
 from fourd.base.errors import UserError
 from fourd.base.processes import isolation
 from fourd.base.processes.isolation import ParserProcess
+from tests.processes.shared import OWN
 
 PARSERS = "tests.processes.parsers"
 
@@ -21,7 +22,8 @@ PARSERS = "tests.processes.parsers"
 @pytest.fixture(autouse=True)
 def _no_shared_parsers(monkeypatch: pytest.MonkeyPatch) -> None:
     """The child processes end as they do in programs; see :func:`tests.processes.shared.shared_parsers`."""
-    monkeypatch.setattr(ParserProcess, "__exit__", lambda self, *exception: self.close())
+    for name, method in OWN.items():
+        monkeypatch.setattr(ParserProcess, name, method)
 
 
 @pytest.fixture

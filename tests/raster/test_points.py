@@ -16,8 +16,8 @@ from tests.raster.clouds import NAMES, Cloud, cloud_with_invalid_points, random_
 NEAR = 0.01
 SIMD = ("baseline", "avx2", "avx512")
 ROUNDING = 2e-5
-"""Rounding error of a sum over the pixels of an image whose terms, of the order of 1, cancel. If one disc covers the whole
-image, its gradients are the only ones and can be this small."""
+"""Rounding error of a sum over the pixels of an image whose terms, of the order of 1, cancel. If one disc covers the
+whole image, its gradients are the only ones and can be this small."""
 
 
 def render(cloud: Cloud, camera: Camera, layers: int, backend: str, **more: object) -> tuple[Tensor, Tensor, Tensor]:
