@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +18,7 @@ from fourd.recording.capture import open_capture
 from fourd.scene import SceneReader, SceneWriter, open_scene
 from fourd.scene.scene import make_frame
 from tests.captures import sphere
+from tests.processes.forked import run_together
 
 OVERLAY = """\
 points: 3000
@@ -108,14 +107,13 @@ def test_commands_on_one_run_at_the_same_time_agree(made: Path, tmp_path: Path) 
     """Catches commands that read or delete each other's frames because they share a scratch folder."""
     run = made.with_suffix(".work") / "run"
     assert main(["render", str(run), "--out", str(tmp_path / "alone"), "--views", "02"]) == 0
-    fourd = [sys.executable, "-m", "fourd.cli.main"]
     words = [
         ["render", run, "--out", tmp_path / "first", "--views", "02"],
         ["render", run, "--out", tmp_path / "second", "--views", "02"],
         ["export", run, "-o", tmp_path / "exported.4dv"],
     ]
-    commands = [subprocess.Popen([*fourd, *(str(word) for word in each)]) for each in words]
-    assert [command.wait() for command in commands] == [0, 0, 0]
+    results = run_together([["fourd.cli.main", *(str(word) for word in each)] for each in words], tmp_path)
+    assert [(result.returncode, result.stderr) for result in results if result.returncode] == []
     for frame in range(3):
         alone, first, second = (
             (tmp_path / name / "02" / f"{frame:06d}.png").read_bytes() for name in ("alone", "first", "second")

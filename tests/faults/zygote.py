@@ -7,35 +7,22 @@ from __future__ import annotations
 
 import atexit
 import faulthandler
-import importlib
 import json
 import os
-import pkgutil
 import signal
 import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import cv2
-import torch
-from PIL import Image
-
-import fourd
+import tests.processes.preloaded  # noqa: F401 -- the forked processes find all modules imported
 from fourd.cli import main as cli
-from fourd.rendering.ops.loading import load_native
 from tests.faults.operations import Faults
 
-FOURD = Path(fourd.__file__).parent
 MAX_SECONDS = 120
 """A command that runs for longer than this time, in seconds, counts as hanging. On an idle machine, a command takes
 less than 3 seconds.
 """
-PACKAGES = ("base", "recording", "reconstruction", "rendering", "scene", "pipeline", "cli")
-"""Packages of fourd that the commands use. Commands import most modules when they need them."""
-LIBRARIES = ("torch.utils.tensorboard", "networkx", "trimesh", "typeguard", "tyro._backends._tyro_backend")
-"""Modules that fourd or its libraries import in functions."""
 
 
 def run_job(job: dict[str, Any]) -> dict[str, Any]:
@@ -80,28 +67,7 @@ def _run_command(job: dict[str, Any]) -> int:
     return code
 
 
-def _import_lazily_imported() -> None:
-    """Import the modules that libraries import on first use, so that the forked processes do not import these modules
-    again.
-    """
-    for package in PACKAGES:
-        for module in pkgutil.walk_packages([str(FOURD / package)], f"fourd.{package}."):
-            with suppress(ImportError):  # modules for Apple's or NVIDIA's libraries, or for a package that is not here
-                importlib.import_module(module.name)
-    for library in LIBRARIES:
-        importlib.import_module(library)
-    Image.init()
-    load_native()
-    weight = torch.zeros(1, requires_grad=True)
-    optimizer = torch.optim.Adam([weight])
-    weight.sum().backward()
-    optimizer.step()
-
-
 def main() -> None:
-    cv2.setNumThreads(1)
-    torch.set_num_threads(1)
-    _import_lazily_imported()
     print("ready", flush=True)
     for line in sys.stdin:
         print(json.dumps(run_job(json.loads(line))), flush=True)

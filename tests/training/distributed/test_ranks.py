@@ -22,6 +22,7 @@ from fourd.reconstruction.training.loop import Trainer
 from fourd.reconstruction.training.metrics_log import NoLog
 from fourd.reconstruction.training.run import load_run, open_run
 from fourd.reconstruction.training.schedule import StepSampler
+from tests.processes.forked import run_together
 from tests.training.distributed.workers import frame_gradients, record_gradients, small_model
 from tests.training.small import SMALL, quiet, trained_run
 
@@ -30,29 +31,14 @@ CONFIG = replace(SMALL, max_steps=2)
 OVERLAY = "points: 1500\nlayers: 8\nmodel: {hidden: 16, planes: {levels: 2, base_resolution: 16}}\n"
 
 
-def start_ranks(commands: list[list[str]]) -> list[subprocess.CompletedProcess[str]]:
-    """Run one command per rank, as torchrun does, and wait for all of them."""
+def start_ranks(commands: list[list[str]], folder: Path) -> list[subprocess.CompletedProcess[str]]:
+    """Run one command per rank, as torchrun does, and wait for all of them. The output goes to ``folder``."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    base = os.environ | {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "WORLD_SIZE": str(len(commands))}
-    base |= {"OMP_NUM_THREADS": "1"}
-    running = [
-        subprocess.Popen(
-            [sys.executable, "-m", *command],
-            cwd=ROOT,
-            env=base | {"RANK": str(rank), "LOCAL_RANK": str(rank)},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for rank, command in enumerate(commands)
-    ]
-    results = []
-    for process in running:
-        output, errors = process.communicate(timeout=300)
-        results.append(subprocess.CompletedProcess(process.args, process.returncode, output, errors))
-    return results
+    base = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "WORLD_SIZE": str(len(commands))}
+    ranks = [base | {"RANK": str(rank), "LOCAL_RANK": str(rank)} for rank in range(len(commands))]
+    return run_together(commands, folder, ranks)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +46,7 @@ def gradients(ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     """A folder with a new run, and the gradients that two ranks recorded."""
     folder = tmp_path_factory.mktemp("ranks")
     create_run(ball_capture, folder / "run", CONFIG)
-    for result in start_ranks([["tests.training.distributed.workers", str(folder)]] * 2):
+    for result in start_ranks([["tests.training.distributed.workers", str(folder)]] * 2, folder):
         assert result.returncode == 0, result.stderr
     return folder
 
@@ -164,7 +150,7 @@ def test_a_run_of_one_rank_resumes_with_three(ball_capture: Path, tmp_path: Path
 def test_ranks_with_different_configs_are_refused(ball_capture: Path, tmp_path: Path) -> None:
     """Catches ranks that wait for each other forever, and a message that does not say which rank to change."""
     words = ["fourd", "train", str(ball_capture), "-o", str(tmp_path / "run"), "--max-steps", "4", "--points"]
-    results = start_ranks([[*words, "1500"], [*words, "1600"]])
+    results = start_ranks([[*words, "1500"], [*words, "1600"]], tmp_path)
     assert [result.returncode for result in results] == [2, 2]
     assert results[1].stderr == ""
     line = results[0].stderr
