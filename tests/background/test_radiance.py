@@ -13,6 +13,7 @@ from fourd.base.errors import UserError
 from fourd.base.progress import untracked
 from fourd.reconstruction.background.contraction import Contraction, contraction_around
 from fourd.reconstruction.background.plates import PlateView
+from fourd.reconstruction.background.radiance import room_depth as room_shape
 from fourd.reconstruction.background.radiance.config import RadianceConfig
 from fourd.reconstruction.background.radiance.depths import add_field_depths, median_inverse_depths
 from fourd.reconstruction.background.radiance.field import RadianceField, bounded_exp
@@ -59,6 +60,12 @@ def random_blocks(plate: ReducedPlate, rng: np.random.Generator) -> np.ndarray:
     rows, columns = plate.grid().shape
     squares = rng.random((rows // 5 + 1, columns // 5 + 1)) < 0.33
     return np.kron(squares, np.ones((5, 5), bool))[:rows, :columns].ravel()
+
+
+@pytest.fixture(autouse=True)
+def _coarse_directions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rooms of these tests have no detail. The factorization for a fine grid takes most of their time."""
+    monkeypatch.setattr(room_shape, "ROWS_PER_DEGREE", 1)
 
 
 @pytest.fixture(scope="module")

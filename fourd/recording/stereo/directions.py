@@ -153,7 +153,9 @@ def interpolate_harmonic(
     laplacian = sparse.diags(np.asarray(links.sum(axis=1)).ravel()) - links
     system = laplacian[free][:, free].tocsc()
     right = -laplacian[free][:, np.flatnonzero(known)] @ values[known]
-    solver = splu(system)
+    # The system is symmetric and diagonally dominant, so that it needs no pivots. With the ordering for such systems,
+    # the factors have about half as many entries as with the default ordering.
+    solver = splu(system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     out = values.copy()
     out[free] = np.column_stack([solver.solve(right[:, channel]) for channel in range(values.shape[1])])
     return out

@@ -51,7 +51,7 @@ def find_large_planes(xyz: Array, weights: Array, tolerance: float, rng: np.rand
             break
         inliers = points[near[:, int(inlier_weights.argmax())]]
         centroid = inliers.mean(axis=0)
-        normal = np.linalg.svd(inliers - centroid)[2][2]
+        normal = np.linalg.svd(inliers - centroid, full_matrices=False)[2][2]
         planes.append([*normal, normal @ centroid])
         remaining &= np.abs(xyz @ normal - normal @ centroid) >= 3 * tolerance
     return np.array(planes).reshape(-1, 4)
