@@ -13,7 +13,6 @@ from fourd.base.errors import UserError
 from fourd.base.progress import untracked
 from fourd.reconstruction.background.contraction import Contraction, contraction_around
 from fourd.reconstruction.background.plates import PlateView
-from fourd.reconstruction.background.radiance import room_depth as room_shape
 from fourd.reconstruction.background.radiance.config import RadianceConfig
 from fourd.reconstruction.background.radiance.depths import add_field_depths, median_inverse_depths
 from fourd.reconstruction.background.radiance.field import RadianceField, bounded_exp
@@ -65,7 +64,7 @@ def random_blocks(plate: ReducedPlate, rng: np.random.Generator) -> np.ndarray:
 @pytest.fixture(autouse=True)
 def _coarse_directions(monkeypatch: pytest.MonkeyPatch) -> None:
     """The rooms of these tests have no detail. The factorization for a fine grid takes most of their time."""
-    monkeypatch.setattr(room_shape, "ROWS_PER_DEGREE", 1)
+    monkeypatch.setattr("fourd.reconstruction.background.radiance.room_depth.ROWS_PER_DEGREE", 1)
 
 
 @pytest.fixture(scope="module")
