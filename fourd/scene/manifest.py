@@ -18,6 +18,7 @@ from msgspec import Meta
 from fourd.base.cameras import Camera
 from fourd.base.json_file import Matrix, Vector, decode_json, require_printable
 from fourd.base.limits import parse_json, printable
+from fourd.base.units import MAX_UNIT_M, MIN_UNIT_M
 from fourd.recording.capture.frame_rate import DEFAULT_FPS
 from fourd.scene.attributes import ATTRIBUTES
 from fourd.scene.files.encoding_json import encoding_from_json, encoding_to_json
@@ -59,6 +60,7 @@ def manifest_to_json(manifest: SceneManifest) -> bytes:
         **({} if manifest.background is None else {"background": asdict(manifest.background)}),
         "fps": manifest.fps,
         **({"fps_known": True} if manifest.is_fps_known else {}),
+        **({} if manifest.metres_per_unit is None else {"metres_per_unit": manifest.metres_per_unit}),
         "layers": manifest.layers,
         "neighbours": manifest.neighbours,
         **({"fade_views": True} if manifest.fade_views else {}),
@@ -99,6 +101,7 @@ class _Values:
     near: Annotated[float, Meta(ge=1e-12, le=1e9)]
     focus: Vector
     fps: Annotated[float, Meta(ge=1e-3, le=1e4)] = DEFAULT_FPS
+    metres_per_unit: Annotated[float, Meta(ge=MIN_UNIT_M, le=MAX_UNIT_M)] | None = None
     fade_views: bool = False
     pixel_filter: Annotated[float, Meta(ge=0, le=0.25)] = 0.0
 

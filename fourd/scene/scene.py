@@ -156,6 +156,7 @@ class SceneManifest:
         fps: playback rate, frames per second.
         is_fps_known: true if ``fps`` is the rate of the recording or was set by the user; false if ``fps`` may be a
             default value.
+        metres_per_unit: length of a world unit in metres, or None if it is not known.
         layers: maximum number of points that are composited per pixel (K in 4K4D).
         neighbours: number of source views that are blended for a viewing camera (N' in 4K4D).
         fade_views: whether the weight of a source view decreases with its angle to the viewing camera; see
@@ -186,6 +187,7 @@ class SceneManifest:
     other_cameras: tuple[Camera, ...] = ()
     fps: float = 30.0
     is_fps_known: bool = False
+    metres_per_unit: float | None = None
     layers: int = BAKED_LAYERS
     neighbours: int = 4
     fade_views: bool = False

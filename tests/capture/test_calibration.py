@@ -22,6 +22,7 @@ from fourd.recording.capture.calibration import (
     check_calibration,
     read_calibration,
     read_intrinsics,
+    require_calibration,
     write_calibration,
 )
 from fourd.recording.capture.check import check_capture
@@ -82,6 +83,25 @@ def test_names_and_numbers_are_read_back(names: list[str], seed: int) -> None:
         assert read[name].translation.tobytes() == camera.translation.tobytes()
         assert np.abs(read[name].rotation - camera.rotation).max() < 1e-12
         assert (read[name].width, read[name].height) == (camera.width, camera.height)
+
+
+@pytest.mark.parametrize("unit", [None, 1.0, 0.001, 1 / 3])
+def test_the_unit_is_read_back(unit: float | None, tmp_path: Path) -> None:
+    """Catches a unit that is rounded, and a key that OpenCV, and thus other programs, cannot read."""
+    write_calibration(tmp_path, ["00"], ring_cameras(1, 32), unit)
+    assert require_calibration(tmp_path).metres_per_unit == unit
+    storage = cv2.FileStorage(str(tmp_path / "extri.yml"), cv2.FILE_STORAGE_READ)
+    assert storage.getNode("metres_per_unit").real() == (unit or 0)
+
+
+@pytest.mark.parametrize("unit", ["mm", "0", "-1", ".Nan", ".Inf"])
+def test_impossible_units_are_refused(unit: str, tmp_path: Path) -> None:
+    """Catches lengths of 0 m, and the name of a unit that counts as no unit."""
+    write_calibration(tmp_path, ["00"], ring_cameras(1, 32))
+    extri = tmp_path / "extri.yml"
+    extri.write_text(extri.read_text() + f"metres_per_unit: {unit}\n")
+    with pytest.raises(UserError, match=r"extri.yml: metres_per_unit: expected .* such as 1 or 0.001, got .*; correct"):
+        require_calibration(tmp_path)
 
 
 @pytest.mark.parametrize(

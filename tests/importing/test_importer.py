@@ -14,6 +14,7 @@ import pytest
 from fourd.base.errors import UserError
 from fourd.base.processes.isolation import ParserProcess
 from fourd.base.progress import untracked
+from fourd.recording.calibration.scale import Distance
 from fourd.recording.capture import open_capture, write_calibration
 from fourd.recording.capture.video import VideoIndex, index_video
 from fourd.recording.importing.detection import pick_format
@@ -220,6 +221,19 @@ def test_changed_calibration_is_applied(tmp_path: Path) -> None:
     write_calibration(source, NAMES, moved)
     run_import(source, out)
     assert np.allclose(open_capture(out).cameras[0].translation, moved[0].translation)
+
+
+def test_the_unit_is_that_of_the_source_or_of_a_measurement(tmp_path: Path) -> None:
+    """Catches lengths without a unit although the source states it, a unit that a measured distance has replaced, and
+    an import that ignores that the source states its unit since the last one."""
+    source, out = write_source(tmp_path / "source"), tmp_path / "out"
+    run_import(source, out)
+    assert open_capture(out).metres_per_unit is None
+    write_calibration(source, NAMES, [replace(each, height=HEIGHT) for each in ring_cameras(3, WIDTH)], 0.001)
+    run_import(source, out)
+    assert open_capture(out).metres_per_unit == 0.001
+    run_import(source, tmp_path / "measured", distance=Distance("a", "b", 2.0))
+    assert open_capture(tmp_path / "measured").metres_per_unit == 1
 
 
 def test_other_folders_are_not_overwritten(tmp_path: Path, ball_capture: Path) -> None:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from fourd.base.cameras import Camera
+from fourd.base.units import MAX_UNIT_M, MIN_UNIT_M
 from fourd.scene.attributes import ATTRIBUTES
 from fourd.scene.files.encoding import SH_NUMBERS, TIERS, CloudEncoding, SceneEncoding
 from fourd.scene.manifest import MAX_PIXELS
@@ -93,6 +94,7 @@ def manifests(draw: st.DrawFn) -> SceneManifest:
         points=tuple(points for _, points in frames),
         fps=draw(st.floats(1e-3, 1e4)),
         is_fps_known=draw(st.booleans()),
+        metres_per_unit=draw(st.none() | st.floats(MIN_UNIT_M, MAX_UNIT_M)),
         layers=draw(st.integers(1, 64)),
         neighbours=draw(st.integers(1, 64)),
         fade_views=draw(st.booleans()),

@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-Value = int | Sequence[str] | NDArray[np.float64]
-"""A value to write: a whole number, a list of strings, or a matrix (rows, columns) of finite numbers."""
+Value = int | float | Sequence[str] | NDArray[np.float64]
+"""A value to write: a finite number, a list of strings, or a matrix (rows, columns) of finite numbers."""
 
 _PLAIN = re.compile(r"[A-Za-z_](?:[A-Za-z0-9_ -]*[A-Za-z0-9_-])?")
 _WORDS = frozenset(("true", "false", "yes", "no", "on", "off", "y", "n", "null", "inf", "nan"))
@@ -43,6 +43,8 @@ def write_opencv_yaml(entries: Mapping[str, Value]) -> str:
     for key, value in entries.items():
         if isinstance(value, int):
             lines.append(f"{key}: {value}")
+        elif isinstance(value, float):
+            lines.append(f"{key}: {_number(value)}")
         elif isinstance(value, np.ndarray):
             lines += _matrix_lines(key, value)
         else:

@@ -13,6 +13,7 @@ from rich.text import Text
 from fourd.base.errors import UserError, command_line
 from fourd.base.progress import Terminal, Tracker
 from fourd.base.storage import local_copy
+from fourd.base.units import format_length
 from fourd.cli.locations import CaptureLocation, transfer_progress
 from fourd.recording.capture.frame_rate import UNKNOWN_RATE, format_rate
 
@@ -162,7 +163,8 @@ def _facts(
     table.add_row("frames", f"{report.frames}{rate}")
     table.add_row("images", ", ".join(f"{size} ({count})" for size, count in sizes.items()) or "none")
     table.add_row("distortion", f"in {report.distorted} cameras" if report.distorted else "none")
-    table.add_row("distance", f"{report.ring_radius:.3g} world units from the cameras to the point they face")
+    distance = format_length(report.ring_radius, report.metres_per_unit)
+    table.add_row("distance", f"{distance} from the cameras to the point they face")
     if agreement is not None:
         table.add_row("residuals", describe_residuals(agreement))
         table.add_row("calibration", describe_verified(agreement))

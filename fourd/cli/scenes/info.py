@@ -33,6 +33,7 @@ from fourd.cli.scenes.info_values import (
     numbers_text,
     sizes_text,
     span_text,
+    unit_text,
     vector_text,
 )
 from fourd.cli.scenes.system import describe_system
@@ -190,6 +191,7 @@ def _scene(path: Location) -> Rows:
         ("layers", f"{manifest.layers} points composited per pixel"),
         ("bounds", f"{vector_text(lower)} to {vector_text(upper)}, in world units"),
         ("focus", vector_text(manifest.focus)),
+        ("world unit", unit_text(manifest.metres_per_unit)),
     ]
 
 
@@ -351,6 +353,7 @@ def _capture(path: Path) -> Rows:
             rate = f" at {format_rate(capture.fps)} per second" if capture.fps else f", {UNKNOWN_RATE}"
             rows.append(("frames", f"{capture.frame_count}{rate}; {numbers_text(capture.frame_numbers)}"))
             rows.append(("image sizes", sizes_text((camera.width, camera.height) for camera in capture.cameras)))
+            rows.append(("world unit", unit_text(capture.metres_per_unit)))
             rows += split_and_masks(path, capture)
     else:
         rows.append(("cameras", f"{len(folders)} in images/: {names_text(folders)}" if folders else "none in images/"))

@@ -57,3 +57,8 @@ def sizes_text(sizes: Iterable[tuple[int, int]]) -> str:
 def vector_text(values: Iterable[float]) -> str:
     """Return a vector with three digits per component."""
     return "(" + ", ".join(f"{float(value):.3g}" for value in values) + ")"
+
+
+def unit_text(metres_per_unit: float | None) -> str:
+    """Return the length of a world unit."""
+    return "not known" if metres_per_unit is None else f"{metres_per_unit:g} m"

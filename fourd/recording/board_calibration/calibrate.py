@@ -289,7 +289,7 @@ def _write(
     fps: float | None,
 ) -> None:
     with atomic_folder(out) as folder:
-        write_calibration(folder, names, fit.cameras)
+        write_calibration(folder, names, fit.cameras, metres_per_unit=1.0)
         floor = settings.floor_frame is not None
         draw_rig(folder / DRAWING, names, fit.cameras, settings.board, fit.boards, floor)
         content: dict[str, Any] = {

@@ -24,9 +24,24 @@ class Distance:
     metres: float
 
 
+@dataclass(frozen=True)
+class WorldFrame:
+    """Cameras in the world that the user has chosen.
+
+    Attributes:
+        cameras: the cameras by name.
+        is_metric: whether the world unit is a metre because of the user's measurement.
+        notes: lines for the log.
+    """
+
+    cameras: dict[str, Camera]
+    is_metric: bool
+    notes: tuple[str, ...]
+
+
 def set_world_frame(
     cameras: Mapping[str, Camera], pictures: Mapping[str, Picture], distance: Distance | None, board: Board | None
-) -> tuple[dict[str, Camera], list[str]]:
+) -> WorldFrame:
     """Scale the cameras to a measured distance, and align them to a chessboard; both steps are optional.
 
     Args:
@@ -35,28 +50,25 @@ def set_world_frame(
         distance: measured distance between two cameras, or None to skip the scaling.
         board: chessboard in the images, or None to skip the alignment.
 
-    Returns:
-        The transformed cameras by name, and notes for the log, one line each.
-
     Raises:
         UserError: if ``distance`` has an unknown camera name or is not positive, or no image shows the board.
     """
-    moved, notes = dict(cameras), []
+    moved, is_metric, notes = dict(cameras), distance is not None, []
     if distance is not None:
         moved = scale_cameras(moved, distance)
         notes.append(f"scaled: {distance.first} and {distance.second} are {distance.metres:g} m apart")
     if board is not None:
         poses = _board_poses(moved, pictures, board)
-        moved = align_cameras(moved, poses)
+        moved, is_metric = align_cameras(moved, poses), is_metric or len(poses) > 1
         notes.append(
             f"aligned to the chessboard in the images of {', '.join(poses)}: origin at a corner, z normal to the board"
         )
-        if len(poses) == 1 and distance is None:
+        if not is_metric:
             notes.append(
                 "the board is visible in one camera only, so the scale is unknown; give --scale, or show the board to "
                 "two cameras"
             )
-    return moved, notes
+    return WorldFrame(moved, is_metric, tuple(notes))
 
 
 def scale_cameras(cameras: Mapping[str, Camera], distance: Distance) -> dict[str, Camera]:

@@ -16,6 +16,7 @@ from fourd.base.files import write_text_atomically
 from fourd.base.formats.opencv_yaml import OpenCvYaml
 from fourd.base.formats.opencv_yaml_writer import Value, escape_key, write_opencv_yaml
 from fourd.base.limits import MAX_CALIBRATION_BYTES, read_text_limited
+from fourd.base.units import MAX_UNIT_M, MIN_UNIT_M
 from fourd.recording.capture.focus import describe_inverted, is_reflection
 
 Array = NDArray[np.float64]
@@ -25,6 +26,8 @@ EXTRINSICS_NAME = "extri.yml"
 MAX_NAME_BYTES = 200
 """Maximum length of a camera name in UTF-8. File systems allow 255 bytes; the rest is for suffixes and for the prefixes
 of temporary files."""
+UNIT_KEY = "metres_per_unit"
+"""Key of extri.yml: the length of a world unit in metres. Other programs ignore this key."""
 _LENS_KEYS = ("K", "D", "dist", "H", "W")
 _POSE_KEYS = ("R", "Rot", "T")
 MAX_ROTATION_DIFFERENCE = 1e-3
@@ -70,12 +73,14 @@ class CalibrationReport:
         calibrations: the valid calibrations, keyed by camera name.
         errors: all errors found in the two files.
         incomplete: the cameras of which only one file has values; keyed by camera name, with the name of that file.
+        metres_per_unit: length of a world unit in metres, or None if extri.yml does not state it.
     """
 
     names: tuple[str, ...]
     calibrations: dict[str, Calibration]
     errors: tuple[UserError, ...]
     incomplete: dict[str, str] = field(default_factory=dict)
+    metres_per_unit: float | None = None
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -98,6 +103,8 @@ def read_calibration(folder: Path | str) -> dict[str, Calibration]:
     - ``H_c`` and ``W_c`` (optional): height and width in pixels;
     - ``Rot_c`` (3, 3) or ``R_c`` (Rodrigues vector): rotation R;
     - ``T_c`` (3,): translation T, with ``x_camera = R * x_world + T``.
+
+    The optional key ``metres_per_unit`` of extri.yml is in the result of :func:`require_calibration`.
 
     Characters of a name that OpenCV cannot read in a key are escaped in the keys; see
     :func:`~fourd.base.formats.opencv_yaml_writer.escape_key`.
@@ -153,7 +160,12 @@ def check_calibration(folder: Path | str) -> CalibrationReport:
     inverted = describe_inverted([each.camera(each.width or 1, each.height or 1) for each in calibrations.values()])
     if inverted is not None and inverted.is_sure:
         errors.append(UserError(f"{extri.path}: {inverted.reason}; invert the poses (R and T) of all cameras"))
-    return CalibrationReport(tuple(names), calibrations, tuple(errors), incomplete)
+    metres_per_unit = None
+    try:
+        metres_per_unit = extri.metres_per_unit()
+    except UserError as error:
+        errors.append(error)
+    return CalibrationReport(tuple(names), calibrations, tuple(errors), incomplete, metres_per_unit)
 
 
 def read_intrinsics(folder: Path | str) -> dict[str, Camera]:
@@ -179,8 +191,11 @@ def read_intrinsics(folder: Path | str) -> dict[str, Camera]:
     return lenses
 
 
-def write_calibration(folder: Path | str, names: Sequence[str], cameras: Sequence[Camera]) -> None:
+def write_calibration(
+    folder: Path | str, names: Sequence[str], cameras: Sequence[Camera], metres_per_unit: float | None = None
+) -> None:
     """Write intri.yml and extri.yml for ``cameras`` into ``folder``; each file is written atomically.
+    ``metres_per_unit`` is the length of a world unit in metres, or None if it is not known.
 
     Raises:
         ValueError: if a name is not valid; see :func:`camera_name_problem`.
@@ -189,6 +204,8 @@ def write_calibration(folder: Path | str, names: Sequence[str], cameras: Sequenc
 
     intri: dict[str, Value] = {"names": list(names)}
     extri: dict[str, Value] = {"names": list(names)}
+    if metres_per_unit is not None:
+        extri[UNIT_KEY] = float(metres_per_unit)
     for name, camera in zip(names, cameras, strict=True):
         problem = camera_name_problem(name)
         if problem is not None:
@@ -302,6 +319,19 @@ class _Storage:
             raise UserError(
                 f"{path}: expected OpenCV FileStorage YAML (%YAML:1.0), got {got}; export the file again"
             ) from error
+
+    def metres_per_unit(self) -> float | None:
+        """Read the length of a world unit in metres; return None if the key is missing."""
+        if UNIT_KEY not in self._content:
+            return None
+        value = self._content.number(UNIT_KEY)
+        if value is None or not MIN_UNIT_M <= value <= MAX_UNIT_M:
+            got = "another type" if value is None else f"{value:g}"
+            raise UserError(
+                f"{self.path}: {UNIT_KEY}: expected the length of a world unit in metres, such as 1 or 0.001, got "
+                f"{got}; correct or remove the value"
+            )
+        return value
 
     def has(self, prefix: str, name: str) -> bool:
         return self._found(prefix, name) in self._content

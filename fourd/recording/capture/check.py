@@ -74,6 +74,7 @@ class Report:
         skipped: the files that were not decoded because decoding all of them takes too long, or None.
         notes: how unusual content is read, one line each. Notes are not mistakes.
         test_views: names of the cameras that training holds out by default, or None if the capture has no test split.
+        metres_per_unit: length of a world unit in metres, or None if the calibration does not state it.
     """
 
     problems: tuple[str, ...]
@@ -91,6 +92,7 @@ class Report:
     notes: tuple[str, ...] = ()
     test_views: tuple[str, ...] | None = None
     masked: tuple[str, ...] = ()
+    metres_per_unit: float | None = None
 
 
 def check_capture(
@@ -155,7 +157,6 @@ class _Check:
             self.warnings += describe_gaps(images_folder, frames)
         self.is_alpha = bool(self._try(alpha_is_matte, self.path))
         masks = self._list_masks(masks_folder, names, frames)
-        has_masks = self.is_alpha or any(masks.values())
         for name, found in images.items():
             self._check_folder(images_folder / name, found, frames)
         for name, found in masks.items():
@@ -187,7 +188,7 @@ class _Check:
             len(frames),
             self.fps,
             self.sizes,
-            has_masks,
+            self.is_alpha or any(masks.values()),
             sum(_is_distorted(calibrations[name]) for name in names if name in calibrations),
             radius,
             self.mattes.mean,
@@ -196,6 +197,7 @@ class _Check:
             tuple(notes),
             test_views,
             masked,
+            calibration.metres_per_unit,
         )
 
     def _try(self, function: Callable[..., Value], *arguments: object) -> Value | None:

@@ -55,6 +55,7 @@ class Capture:
             contains all frames.
         fps: number of selected frames per second of the recording, or None if the frame rate is not known. If every
             S-th frame is selected, ``fps`` is the recording's frame rate divided by S.
+        metres_per_unit: length of a world unit in metres, or None if the calibration does not state it.
     """
 
     def __init__(
@@ -70,6 +71,7 @@ class Capture:
         cache_mb: int,
         cache_frames: int = 0,
         fps: float | None = None,
+        metres_per_unit: float | None = None,
     ) -> None:
         self.path = path
         self.names = tuple(names)
@@ -79,6 +81,7 @@ class Capture:
         self.total_frames = total_frames
         self.time_span = range(total_frames)
         self.fps = fps
+        self.metres_per_unit = metres_per_unit
         self._distorted_cameras = tuple(distorted_cameras)
         self._footage = tuple(footage)
         frame_bytes = sum(3 * camera.width * camera.height for camera in self.cameras)
@@ -233,8 +236,7 @@ def open_capture(
         views: names of the cameras to use, or None for all cameras.
         frames: frame range ``A:B[:S]`` of indices in the sorted list of frames, or None for all frames.
         scale: factor in (0, 4] by which images are resized.
-        cache_mb: size of the cache of decoded images in MiB.
-        cache_frames: number of frames, with one image per camera, that the cache can hold in addition to ``cache_mb``.
+        cache_mb, cache_frames: size of the cache of decoded images: MiB, plus frames with one image per camera.
         mattes: whether to open mattes. A camera needs none, or needs them for all selected frames.
         partial_mattes: whether generated mattes that lack some of the selected frames count as no mattes.
 
@@ -269,7 +271,8 @@ def open_capture(
         ]
     cameras = [_to_camera(path, name, calibrations[name], of) for name, of in zip(names, footage, strict=True)]
     fps, count = None if rate is None else float(rate / selected.step), len(all_frames)
-    return Capture(path, names, cameras, footage, chosen, list(selected), count, scale, cache_mb, cache_frames, fps)
+    rest = list(selected), count, scale, cache_mb, cache_frames, fps, report.metres_per_unit
+    return Capture(path, names, cameras, footage, chosen, *rest)
 
 
 def _list_video_frames(path: Path, videos: Mapping[str, Video]) -> list[str]:

@@ -16,17 +16,11 @@ REPORT = "report.json"
 """File that ``fourd calibrate`` writes beside a calibration, and that other programs do not write."""
 
 
-def is_metric_calibration(folder: Path) -> bool:
-    """Return whether the calibration in ``folder`` is known to be in metres. The unit is known only if
-    ``fourd calibrate`` wrote the calibration."""
-    return (folder / REPORT).is_file()
-
-
 def apply_calibration(imported: Imported, format_name: str, folder: Path) -> Imported:
     """Add the calibrations in ``folder`` (intri.yml and extri.yml) to the cameras of a source without a calibration.
 
-    Cameras are matched by :func:`fourd.recording.importing.folders.match_names`. The calibrations keep their image
-    sizes, which a later step of the import compares with the video sizes.
+    Cameras are matched by :func:`fourd.recording.importing.folders.match_names`. The unit is that of the calibration.
+    The calibrations keep their image sizes, which a later step of the import compares with the video sizes.
 
     Raises:
         UserError: if the format has its own calibration, if the folder has no valid calibration, if the calibration of
@@ -58,4 +52,6 @@ def apply_calibration(imported: Imported, format_name: str, folder: Path) -> Imp
     unused = sorted(set(found) - set(pairs.values()))
     if unused:
         notes.append(f"cameras without images, not imported: {', '.join(unused)}")
-    return replace(imported, cameras=tuple(cameras), notes=tuple(notes))
+    # Earlier versions of fourd calibrate, which measures in metres, did not write the unit.
+    unit = 1.0 if report.metres_per_unit is None and (folder / REPORT).is_file() else report.metres_per_unit
+    return replace(imported, cameras=tuple(cameras), notes=tuple(notes), metres_per_unit=unit)

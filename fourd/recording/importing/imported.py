@@ -91,6 +91,7 @@ class Imported:
         cameras: at least one camera, in the order of the source.
         notes: lines of information for the user on units, on axes, and on cameras that are not imported.
         fps: frame rate of the images in 1/s, or None if it is not known or the cameras have videos.
+        metres_per_unit: length of a world unit of the calibrations in metres, or None if it is not known.
         test_views: names of the cameras that training holds out by default, the recording's own test split.
     """
 
@@ -98,6 +99,7 @@ class Imported:
     notes: tuple[str, ...]
     fps: Fraction | None = None
     test_views: tuple[str, ...] = ()
+    metres_per_unit: float | None = None
 
 
 def video_files(cameras: Iterable[ImportedCamera]) -> dict[str, Path]:

@@ -25,7 +25,7 @@ from fourd.recording.capture.video_index import cached_indices
 from fourd.recording.import_choices import CalibratedFrames, PairBy, PrincipalPointMode, SyncMethod
 from fourd.recording.importing.detection import Format
 from fourd.recording.importing.frame_geometry import match_calibrations, reduced_indices
-from fourd.recording.importing.given_calibration import apply_calibration, is_metric_calibration
+from fourd.recording.importing.given_calibration import apply_calibration
 from fourd.recording.importing.imported import Imported, VideoFile, video_files
 from fourd.recording.importing.pictures.geometry import match_pictures
 from fourd.recording.importing.pictures.moments import align_pictures
@@ -137,7 +137,7 @@ def import_source(
     before = read_record(out)
     if before is not None:
         check_same_source(out, before, source, source_format.name)
-    imported, warnings = align_pictures(_with_rate(source_format.read(source), source, options), options.pair_by)
+    imported, warnings = align_pictures(_read(source_format, source, options), options.pair_by)
     if options.calibration is not None:
         imported = apply_calibration(imported, source_format.name, Path(options.calibration))
     needs_calibration = _check_options(imported, source, options)
@@ -165,7 +165,7 @@ def import_source(
     imported = _match_calibrations(imported, indices, options, log, track)
     imported = _calibrate(imported, indices, offsets, options, needs_calibration, log, warnings.append, track)
     if estimate is not None:
-        estimate = _correct_estimate(estimate, imported, source_format, options, log)
+        estimate = _correct_estimate(estimate, imported, options, log)
         offsets = applied_offsets(estimate, options.offsets, options.applies_estimate)
         record = replace(record, unsure=estimate.candidates(offsets))
     check_unpacked(out, started, files, offsets, options.reduce)
@@ -182,14 +182,10 @@ def _tell_all(lines: Sequence[str], tell: Log) -> None:
         tell(line)
 
 
-def _correct_estimate(
-    estimate: Estimate, imported: Imported, source_format: Format, options: ImportOptions, log: Log
-) -> Estimate:
+def _correct_estimate(estimate: Estimate, imported: Imported, options: ImportOptions, log: Log) -> Estimate:
     """Improve the estimated offsets with the calibrated cameras, and log them. Offsets from sound are corrected by the
     time that the sound takes to reach each camera; offsets from motion are estimated again in epipolar planes."""
-    is_metric = source_format.is_metric or options.distance is not None or options.board is not None
-    if options.calibration is not None:
-        is_metric |= is_metric_calibration(Path(options.calibration))
+    is_metric = imported.metres_per_unit == 1
     corrected = correct_sound_travel(estimate, imported.cameras, options.sound_at, is_metric, log)
     corrected = estimate_with_cameras(corrected, imported.cameras, log)
     for line in describe_offsets(corrected, options.offsets, options.applies_estimate):
@@ -243,11 +239,14 @@ def _estimate(
     return None
 
 
-def _with_rate(imported: Imported, source: Path, options: ImportOptions) -> Imported:
-    """Set the frame rate of a source that consists of images.
+def _read(source_format: Format, source: Path, options: ImportOptions) -> Imported:
+    """Read a source, and set the unit of its calibration and the frame rate of a source that consists of images.
 
     The rate is the value of --fps, or the rate in capture.json if the source is a capture.
     """
+    imported = source_format.read(source)
+    if source_format.is_metric:
+        imported = replace(imported, metres_per_unit=1.0)
     if options.fps is not None and video_files(imported.cameras):
         raise UserError(f"--fps: {source}: {FPS_IS_FOR_PICTURES}")
     stored = read_rate(source) if source.is_dir() else None
@@ -335,12 +334,12 @@ def _calibrate(
         warn(line)
     if len(cameras) == 1:
         warn(f"camera '{names[0]}' is the only one; a scene needs the recordings of at least 2 cameras")
-    cameras, notes = set_world_frame(cameras, first, options.distance, options.board)
-    for line in notes:
+    world = set_world_frame(cameras, first, options.distance, options.board)
+    for line in world.notes:
         log(line)
-    return replace(
-        imported, cameras=tuple(replace(camera, calibration=cameras[camera.name]) for camera in imported.cameras)
-    )
+    moved = tuple(replace(camera, calibration=world.cameras[camera.name]) for camera in imported.cameras)
+    unit = None if needs_calibration else imported.metres_per_unit
+    return replace(imported, cameras=moved, metres_per_unit=1.0 if world.is_metric else unit)
 
 
 def _write(

@@ -136,6 +136,8 @@ def write_record(out: Path, record: ImportRecord) -> None:
 def digests(imported: Imported) -> tuple[str, str]:
     """Compute two hashes of a source: a hash of its calibration, and a hash of the names and sizes of its files."""
     calibrations, files = hashlib.sha256(), hashlib.sha256()
+    if imported.metres_per_unit is not None:
+        calibrations.update(repr(imported.metres_per_unit).encode())
     for camera in imported.cameras:
         calibration = camera.calibration
         if calibration is not None:

@@ -99,7 +99,7 @@ def write_capture(
     if imported.test_views:
         write_test_views(out, imported.test_views)
     if calibrations:
-        write_calibration(out, list(calibrations), list(calibrations.values()))
+        write_calibration(out, list(calibrations), list(calibrations.values()), imported.metres_per_unit)
     return notes
 
 

@@ -90,7 +90,7 @@ def make_board_videos(out: Path, settings: BoardSettings, track: Track) -> None:
     content = {"version": VERSION, **asdict(settings)}
     write_text_atomically(out / SETTINGS_NAME, json.dumps(content, indent=1) + "\n")
     write_board(out / BOARD_NAME, settings.board)
-    write_calibration(out / "truth", names, cameras)
+    write_calibration(out / "truth", names, cameras, metres_per_unit=1.0)
     poses = [board_pose(settings, float(frame)) for frame in range(settings.frames)]
     rows = [{"rotation": pose.rotation.tolist(), "translation": pose.translation.tolist()} for pose in poses]
     write_text_atomically(out / "truth" / POSES_NAME, json.dumps(rows) + "\n")

@@ -101,7 +101,7 @@ def make_synthetic(
     figure = make_figure(seed)
     ring = ring_cameras(figure, settings)
     names = [f"{index:02d}" for index in range(cameras)]
-    write_calibration(out, names, ring)
+    write_calibration(out, names, ring, metres_per_unit=1.0)
     write_rate(out, standard_rate(fps))
     write_cameras(
         names,

@@ -19,7 +19,7 @@ from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.workload import Workload
 from fourd.recording.calibration.adjustment.repair import Repair, repair_cameras
 from fourd.recording.calibration.checks.agreement import CaptureMatches, assess_agreement, is_disagreeing, match_capture
-from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, write_calibration
+from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, require_calibration, write_calibration
 from fourd.recording.capture.layout import DERIVED, MATTES, link_entries
 from fourd.recording.matting.contours import find_foreign_mattes
 from fourd.recording.sync.lateness import find_late_cameras
@@ -124,4 +124,6 @@ def _write_repaired(files: RepairFiles, found: CaptureMatches, repair: Repair) -
     files.repaired.mkdir(parents=True, exist_ok=True)
     own = {INTRINSICS_NAME, EXTRINSICS_NAME, DERIVED.name, RESULT}
     link_entries(files.capture, files.repaired, left_out=own)
-    write_calibration(files.repaired, list(found.names), list(repair.cameras))
+    # The corrections keep the distances between the cameras, and thus the unit.
+    unit = require_calibration(files.capture).metres_per_unit
+    write_calibration(files.repaired, list(found.names), list(repair.cameras), unit)

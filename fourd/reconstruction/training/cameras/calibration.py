@@ -20,7 +20,7 @@ from fourd.base.errors import UserError
 from fourd.base.files import write_text_atomically
 from fourd.reconstruction.training.run_layout import CALIBRATION, START
 from fourd.recording.capture import Capture, read_calibration, write_calibration
-from fourd.recording.capture.calibration import INTRINSICS_NAME
+from fourd.recording.capture.calibration import INTRINSICS_NAME, require_calibration
 
 if TYPE_CHECKING:
     from fourd.reconstruction.training.cameras.rig import Rig
@@ -62,14 +62,15 @@ def write_corrected(folder: Path, capture: Capture, rig: Rig, below: str = "") -
         name: _lens(lens, camera)
         for name, lens, camera in zip(capture.names, capture.distorted_cameras, rig.cameras, strict=True)
     }
+    given = require_calibration(capture.path)
     others = {
         name: each.camera(each.width or 1, each.height or 1)
-        for name, each in read_calibration(capture.path).items()
+        for name, each in given.calibrations.items()
         if name not in corrected and each.width and each.height
     }
     cameras = {**others, **corrected}
-    names = [name for name in read_calibration(capture.path) if name in cameras]
-    write_calibration(target, names, [cameras[name] for name in names])
+    names = [name for name in given.calibrations if name in cameras]
+    write_calibration(target, names, [cameras[name] for name in names], given.metres_per_unit)
     if rig.colours is not None:
         content = {
             name: {"matrix": colours[:, :3].tolist(), "offset": colours[:, 3].tolist()}

@@ -73,7 +73,8 @@ def read(source: Path, frames: Path | None = None) -> Imported:
     kept = "lengths and pixel coordinates are kept as in the calibration"
     test_views = read_test_views(data) or ()
     require_known(data, test_views, [camera.name for camera in cameras])
-    return Imported(cameras, (kept, *report.notes, *notes), test_views=test_views)
+    lines = (kept, *report.notes, *notes)
+    return Imported(cameras, lines, test_views=test_views, metres_per_unit=report.metres_per_unit)
 
 
 def _make_camera(path: Path, name: str, calibration: Calibration, frames: Frames | None) -> Camera:

@@ -98,7 +98,7 @@ def make_dome(out: Path, settings: DomeSettings) -> None:
     prepare_folder(out)
     write_settings(out, settings.stored(), finished=False)
     room, rig = _make_dome_rig(settings)
-    write_calibration(out, [item.name for item in rig], [item.camera for item in rig])
+    write_calibration(out, [item.name for item in rig], [item.camera for item in rig], metres_per_unit=1.0)
     write_rate(out, standard_rate(settings.fps))
     _write_rig(out / "truth" / RIG_NAME, rig)
     cast = make_cast(settings.seed)

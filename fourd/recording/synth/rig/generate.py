@@ -138,8 +138,8 @@ def _write_rig(out: Path, source: Source, settings: RigSettings) -> list[RigCame
     distance = median_distance(source.cameras, viewing_centre(source.cameras))
     rig = [draw_camera(settings, index, distance) for index in range(len(source.names))]
     disturbed = [disturb(camera, drawn.error) for camera, drawn in zip(source.cameras, rig, strict=True)]
-    write_calibration(out, source.names, disturbed)
-    write_calibration(out / "truth", source.names, source.cameras)
+    write_calibration(out, source.names, disturbed, source.metres_per_unit)
+    write_calibration(out / "truth", source.names, source.cameras, source.metres_per_unit)
     rows = {name: drawn.stored(float(source.rate)) for name, drawn in zip(source.names, rig, strict=True)}
     content = {"version": 1, "settings": asdict(settings), "cameras": rows}
     write_text_atomically(out / "truth" / RIG_NAME, json.dumps(content, indent=1) + "\n")

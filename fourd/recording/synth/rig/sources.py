@@ -67,6 +67,7 @@ class Source:
         knots_per_frame: number of knots, the times at which pictures exist, from one frame to the next.
         has_mattes: whether the subject's mattes are known.
         open_view: opens the view of the camera with this index.
+        metres_per_unit: length of a world unit in metres, or None if it is not known.
     """
 
     names: tuple[str, ...]
@@ -76,6 +77,7 @@ class Source:
     knots_per_frame: int
     has_mattes: bool
     open_view: Callable[[int], View]
+    metres_per_unit: float | None
 
 
 def rendered_source(settings: SynthSettings) -> Source:
@@ -97,7 +99,7 @@ def rendered_source(settings: SynthSettings) -> Source:
 
     names = tuple(f"{index:02d}" for index in range(settings.cameras))
     rate = standard_rate(settings.fps)
-    return Source(names, tuple(cameras), settings.frames, rate, RENDERED_KNOTS, True, open_view)
+    return Source(names, tuple(cameras), settings.frames, rate, RENDERED_KNOTS, True, open_view, metres_per_unit=1.0)
 
 
 def captured_source(capture: Path) -> Source:
@@ -110,7 +112,7 @@ def captured_source(capture: Path) -> Source:
     with open_capture(capture) as opened:
         names, cameras, frames = opened.names, opened.cameras, opened.frame_count
         rate = standard_rate(opened.fps or DEFAULT_FPS)
-        has_mattes = opened.has_masks
+        has_mattes, metres_per_unit = opened.has_masks, opened.metres_per_unit
 
     def open_view(index: int) -> View:
         # Each view opens the capture again, because an opened capture must not be used by several threads.
@@ -128,4 +130,4 @@ def captured_source(capture: Path) -> Source:
 
         return moment
 
-    return Source(names, cameras, frames, rate, 1, has_mattes, open_view)
+    return Source(names, cameras, frames, rate, 1, has_mattes, open_view, metres_per_unit)
