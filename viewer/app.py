@@ -91,8 +91,8 @@ class App:
         self._was_active = True  # whether the image could change after the last step
 
     def run(self) -> None:
-        """Run the event loop until the user closes the window. Raises UserError if the scene that the user has named
-        cannot be opened."""
+        """Run the event loop until the user closes the window. Raises UserError if a scene that the user has named at
+        the start cannot be opened."""
         window, session = self._state.window, self._state.session
         last = time.monotonic()
         while not window.should_close:
@@ -109,6 +109,8 @@ class App:
                 self._step(elapsed)
             if self._needs_scene and session.scene is None and session.error is not None:
                 raise session.error
+            if self._state.comparison.given_error is not None:
+                raise self._state.comparison.given_error
 
     def _step(self, elapsed: float) -> None:
         """Advance the session by ``elapsed`` seconds, and draw an image if the image may have changed."""

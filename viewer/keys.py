@@ -100,12 +100,7 @@ def _change_speed(direction: int) -> Callable[[ViewerState], None]:
 
 
 def _change_camera(step: int) -> Callable[[ViewerState], None]:
-    def act(state: ViewerState) -> None:
-        scene = state.session.scene
-        if scene is not None and scene.manifest.cameras:
-            state.move_to_camera((state.camera_index + step) % len(scene.manifest.cameras))
-
-    return act
+    return lambda state: state.move_to_next_camera(step)
 
 
 def _go_to_bookmark(index: int) -> Callable[[ViewerState], None]:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import time
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from fourd.base.cameras import estimate_up
+from fourd.base.files import natural_key
 from fourd.scene import SceneManifest
 from fourd.viewer.navigation.pose import Pose, pose_facing, pose_from_camera
-from fourd.viewer.playback.prefetch import BUFFER_BYTES, BakedFrameSource, FramePrefetcher
+from fourd.viewer.playback.prefetch import BUFFER_BYTES, MAX_FRAMES, MIN_FRAMES, BakedFrameSource, FramePrefetcher
 from fourd.viewer.playback.sources import RunSource
 
 _CHECKPOINT_POLL_SECONDS = 1.0
@@ -35,13 +37,23 @@ class LoadedScene:
         self.path = path
         self.manifest: SceneManifest = source.manifest
         self._run = source if isinstance(source, RunSource) else None
-        # A run's frames are baked on demand, which slows training. The buffer of a run is therefore as small as
-        # possible, so that only few frames are baked before they are shown.
-        self.frames = FramePrefetcher(source, 0 if self._run else BUFFER_BYTES)
+        # A run's frames are baked on demand, which slows training. Therefore only the next one is baked before it is
+        # shown, but the baked frames are kept, so that the second round plays at once.
+        self.frames = FramePrefetcher(source, BUFFER_BYTES, MIN_FRAMES if self._run else MAX_FRAMES)
         self.up = estimate_up(self.manifest.cameras) if self.manifest.cameras else np.array([0.0, 0.0, 1.0])
         self.has_normals = "normals" in self.manifest.optional_attributes
         self.checkpoint = self._run.checkpoint if self._run else ""
         self._last_poll = time.monotonic()
+
+    @cached_property
+    def camera_order(self) -> tuple[int, ...]:
+        """Indices of the cameras in the order of their names. In the manifest, held-out cameras come last."""
+        return tuple(sorted(range(len(self.manifest.names)), key=lambda index: natural_key(self.manifest.names[index])))
+
+    @property
+    def computed_share(self) -> float:
+        """Share of the frame of a run that is being computed, from 0 to 1; 0 if it is not known."""
+        return 0.0 if self._run is None else self._run.share
 
     def initial_pose(self, size: tuple[int, int], room: tuple[float, float] | None = None) -> Pose:
         """Return the pose of the first camera or, if there are no cameras, a pose that shows the whole scene."""

@@ -36,8 +36,7 @@ class Session:
         style_name: name of the preset, or path of the style file, that the user chose last; None for the captured
             colours. The style in ``settings`` can differ from the chosen style, because the user can edit it.
         style_file: path of the style file that the user chose last, or None.
-        opening_work: what is being done to open a scene, and the share that is done; an empty text and 0 if the scene
-            reports no progress.
+        opening_work: what is being done to open a scene, or an empty text.
         is_free: whether the user has moved the view away from the camera that was chosen last.
     """
 
@@ -58,7 +57,7 @@ class Session:
         self.error: Exception | None = None
         self.is_waiting = False
         self.is_free = False
-        self.opening_work: tuple[str, float] = ("", 0.0)
+        self.opening_work = ""
         self._opener: threading.Thread | None = None
         self._opening: Path | None = None
         self._opened: LoadedScene | Exception | None = None
@@ -74,6 +73,11 @@ class Session:
         return self._opening if self._opener is not None else None
 
     @property
+    def has_frame(self) -> bool:
+        """Whether a frame of the open scene has been read, so that there is something to see."""
+        return self._last_frame is not None
+
+    @property
     def style_names(self) -> tuple[str | None, ...]:
         """The styles that the user can choose: None, the presets, and the style file that was chosen last, if any."""
         return (None, *PRESETS, *(() if self.style_file is None else (self.style_file,)))
@@ -87,7 +91,7 @@ class Session:
         """Start to open a scene or a run. The call is ignored while another scene is being opened."""
         if self._opener is not None:
             return
-        self._opened, self._opening, self.opening_work = None, path, ("", 0.0)
+        self._opened, self._opening, self.opening_work = None, path, ""
         self._opener = threading.Thread(target=self._open, args=(path,), name="opener", daemon=True)
         self._opener.start()
 
@@ -293,8 +297,8 @@ class Session:
                 "the normals of each frame are estimated when the frame is first drawn"
             )
 
-    def _report(self, work: str, share: float) -> None:
-        self.opening_work = work, share
+    def _report(self, work: str) -> None:
+        self.opening_work = work
 
     def _open(self, path: Path) -> None:
         try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +17,6 @@ from fourd.viewer.comparison.captured import is_capture
 from fourd.viewer.comparison.comparison import MODES, Comparison, Mode
 from fourd.viewer.comparison.placement import find_view
 from fourd.viewer.display import RenderRequest
-from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.interface.file_dialog import FileDialog, has_file_dialogs
 from fourd.viewer.interface.layout import Area, Layout, has_room_for_panel
 from fourd.viewer.interface.notice_clock import NoticeClock
@@ -28,16 +27,12 @@ from fourd.viewer.navigation.preferences import Preferences, PreferencesFile
 from fourd.viewer.navigation.recorded_path import PathRecorder, PathSample, RecordedPath
 from fourd.viewer.navigation.saved_views import SavedViews, default_file
 from fourd.viewer.output.png import with_alpha, write_png
-from fourd.viewer.progress_window import draw_progress
+from fourd.viewer.output.window_video import Cancelled, VideoPlan, plan_recorded, plan_turntable, render_images
 from fourd.viewer.rendering.renderer_name import RendererName
 from fourd.viewer.session import Session
 from fourd.viewer.timings import Timings
 from fourd.viewer.window import Window
 from fourd.viewer.window_renderer import WindowRenderer
-
-
-class Cancelled(Exception):
-    """Raised when the user cancels a video."""
 
 
 class ViewerState:
@@ -244,6 +239,12 @@ class ViewerState:
             self.camera_index = index
             self.session.move_to(self.session.scene.camera_pose(index, self.window.framebuffer_size, self._room))
 
+    def move_to_next_camera(self, step: int) -> None:
+        """Start a transition to the next camera in the order of the names, or to the previous one if ``step`` is -1."""
+        order = () if self.session.scene is None else self.session.scene.camera_order
+        if order:
+            self.move_to_camera(order[(order.index(self.camera_index) + step) % len(order)])
+
     def move_to_initial_view(self) -> None:
         """Start a transition to the initial view of the scene."""
         if self.session.scene is not None:
@@ -331,16 +332,14 @@ class ViewerState:
 
     def render_recorded_path(self) -> None:
         """Render the recorded path at the window's size to an MP4 in the working directory."""
-        if self.recorded_path is None or self.session.scene is None:
-            return
-        from fourd.viewer.output.video import write_video
+        if self.recorded_path is not None and self.session.scene is not None:
+            frames = self.session.scene.manifest.frame_count
+            self._render(plan_recorded(self.recorded_path, self.window.framebuffer_size, frames), "")
 
-        path, recorded = unused_path(self.session.scene.path.stem, ".mp4"), self.recorded_path
-        try:
-            self._write(path, lambda: write_video(path, self._render_samples(path, recorded), recorded.fps))
-        except Cancelled:
-            self.session.message = f"{path}: cancelled, nothing was written"
-        self.renderer.invalidate()
+    def render_turntable(self) -> None:
+        """Render a turn around the subject at the window's size to an MP4 in the working directory."""
+        if self.session.scene is not None:
+            self._render(plan_turntable(self.session, self.window.framebuffer_size), "-turntable")
 
     def release(self) -> None:
         """Save the view, close the scene and free all GL objects."""
@@ -349,36 +348,18 @@ class ViewerState:
         self.session.close()
         self.renderer.release()
 
-    def _render_samples(self, path: Path, recorded: RecordedPath) -> Iterator[NDArray[np.uint8]]:
-        """Yield the images of a recorded path, and draw the progress window before each image."""
-        size, canvas = self.window.framebuffer_size, Canvas(self.renderer.context)
+    def _render(self, plan: VideoPlan, suffix: str) -> None:
+        """Render a video to an MP4 whose name is that of the scene with ``suffix``."""
+        from fourd.viewer.output.video import write_video
+
+        assert self.session.scene is not None
+        path = unused_path(self.session.scene.path.stem + suffix, ".mp4")
+        images = render_images(self.window, self.session, self.renderer, path, plan)
         try:
-            for index, sample in enumerate(recorded.samples):
-                self._show_progress(path, index, len(recorded.samples))
-                yield self._render_sample(sample, size, canvas)
-        finally:
-            canvas.release()
-
-    def _render_sample(self, sample: PathSample, size: tuple[int, int], canvas: Canvas) -> NDArray[np.uint8]:
-        scene, settings = self.session.scene, self.session.settings
-        assert scene is not None
-        frame = scene.frames.get(min(sample.frame, scene.manifest.frame_count - 1), wait=True)
-        assert frame is not None
-        camera = sample.pose.camera(*size)
-        request = RenderRequest(settings.scale_points(frame), camera, scene.manifest, settings)
-        self.renderer.renderer.draw(request, canvas, wait=True)
-        return canvas.read_rgb8()
-
-    def _show_progress(self, path: Path, done: int, count: int) -> None:
-        """Handle events and draw the progress window. Raises Cancelled."""
-        self.window.wait_events(0)
-        self.renderer.present(shows_image=False)
-        self.window.begin_ui()
-        is_cancelled = draw_progress(self.window, path, done, count)
-        self.window.end_ui()
-        self.window.swap_buffers()
-        if is_cancelled or self.window.should_close:
-            raise Cancelled
+            self._write(path, lambda: write_video(path, images, plan.fps))
+        except Cancelled:
+            self.session.message = f"{path}: cancelled, nothing was written"
+        self.renderer.invalidate()
 
     def _write(self, path: Path, write: Callable[[], object]) -> None:
         """Write a file and report the result in the session's message."""

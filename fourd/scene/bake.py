@@ -16,7 +16,7 @@ from rich.console import Console
 from torch import Tensor
 
 from fourd.base.errors import UserError
-from fourd.base.progress import Track, Tracker
+from fourd.base.progress import Track, Tracker, untracked
 from fourd.base.version import __version__
 from fourd.reconstruction.model import PointModel
 from fourd.reconstruction.model.appearance import mix_own_colours, zero_low_visibility
@@ -123,6 +123,7 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float | 
         other_cameras=tuple(run.capture.cameras[index] for index in others),
         fps=rate or DEFAULT_FPS,
         is_fps_known=rate is not None,
+        metres_per_unit=trained.run.capture.metres_per_unit,
         layers=layers,
         neighbours=run.config.train.model.neighbours,
         fade_views=run.config.train.model.fade_views,
@@ -136,10 +137,10 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float | 
     )
 
 
-def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFrame:
+def bake_frame(trained: TrainedRun, frame: int, sources: list[int], track: Track = untracked) -> BakedFrame:
     """Evaluate one frame's dynamic points. The result has no property that depends on the viewing camera.
 
-    ``sources`` are the camera indices from :func:`select_baked_views`.
+    ``sources`` are the camera indices from :func:`select_baked_views`. ``track`` reports the progress over them.
     """
     views = trained.renderer.views
     occlusion = trained.model.config.occlusion
@@ -148,7 +149,7 @@ def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFram
         return with_surface_depth(views.sources([index], frame), points, occlusion, trained.run.config.scene.near)
 
     points, time = trained.frames.get(frame), trained.run.capture.time(frame)
-    return _bake_points(trained.model, points, time, sources, get_source_view)
+    return _bake_points(trained.model, points, time, sources, get_source_view, track)
 
 
 def _bake_segments(parts: Sequence[SegmentFrame], sources: list[int]) -> BakedFrame:
@@ -166,9 +167,9 @@ def _bake_segments(parts: Sequence[SegmentFrame], sources: list[int]) -> BakedFr
     return make_frame({name: array[order] for name, array in arrays.items()})
 
 
-def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | None:
+def bake_background(trained: TrainedRun, sources: list[int], track: Track = untracked) -> BakedFrame | None:
     """Evaluate the static background points, with clean plates (images of the background without the subject) as source
-    views. Returns None if the run has no background."""
+    views. ``track`` reports the progress over them. Returns None if the run has no background."""
     background = trained.renderer.background
     if background is None:
         return None
@@ -178,6 +179,7 @@ def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | Non
         0.0,
         sources,
         lambda index, points: background.sources([index], points=points),
+        track,
     )
 
 
@@ -192,14 +194,19 @@ def bake_shadow(trained: TrainedRun, frame: int) -> NDArray[np.uint8] | None:
 
 
 def _bake_points(
-    model: PointModel, points: FramePoints, time: float, sources: list[int], get_source_view: GetSourceView
+    model: PointModel,
+    points: FramePoints,
+    time: float,
+    sources: list[int],
+    get_source_view: GetSourceView,
+    track: Track,
 ) -> BakedFrame:
     parameters = points.parameters
     evaluated = model.evaluate(
         points.xyz, points.spacing, time, explicit_sh=parameters.get("sh"), rgb=parameters.get("rgb")
     )
     sh = model.harmonics(evaluated, is_training=False)
-    weights, rgb = _bake_blending(model, evaluated, sources, get_source_view)
+    weights, rgb = _bake_blending(model, evaluated, sources, get_source_view, track)
     count = evaluated.xyz.shape[0]
     return BakedFrame(
         xyz=evaluated.xyz.numpy(),
@@ -212,7 +219,7 @@ def _bake_points(
 
 
 def _bake_blending(
-    model: PointModel, points: EvaluatedPoints, sources: list[int], get_source_view: GetSourceView
+    model: PointModel, points: EvaluatedPoints, sources: list[int], get_source_view: GetSourceView, track: Track
 ) -> tuple[Tensor, Tensor]:
     """Compute the points' blend weights (N, V) and their colours (N, V, 3) in [0, 1], one source view at a time.
 
@@ -221,7 +228,7 @@ def _bake_blending(
     count = points.xyz.shape[0]
     weights = torch.zeros(count, len(sources))
     rgb = torch.zeros(count, len(sources), 3)
-    for column, index in enumerate(sources):
+    for column, index in enumerate(track(sources, len(sources), "views")):
         view = get_source_view(index, points)
         encoded = model.encode_images(view.images) if view.encoded is None else view.encoded
         samples = sample_sources(points.xyz, view, encoded, OCCLUSION_FALLOFF_SPACINGS * points.spacing)

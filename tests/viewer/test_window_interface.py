@@ -189,7 +189,7 @@ def test_another_scene_is_shown_from_the_same_view(
     open_viewer: Callable[..., Viewer], scene: Path, tmp_path: Path
 ) -> None:
     """Catches a second scene that is drawn upside down, from another view or at another frame, and one that lies beside
-    the first one where a line divides them."""
+    the first one where a line divides them. Also catches a click in the left half that measures another place."""
     write_shells(tmp_path / "other.4dv", frames=5)
     words = ("--beside", str(tmp_path / "other.4dv"), "--size", str(SMALL[0]), str(SMALL[1]), *BLACK)
     viewer = open_viewer(str(scene), *words)
@@ -208,6 +208,17 @@ def test_another_scene_is_shown_from_the_same_view(
     viewer.drag((420, 200), (470, 230))
     stable_image(viewer)
     viewer.until(are_equal, "the same view and frame in both halves")
+    viewer.key("m")
+    for x in (half // 2 - 40, half + half // 2 + 40):  # the first end on the left, the second one on the right
+        viewer.click(x, 172)
+
+    def lines() -> tuple[int, ...]:
+        """The lengths of the white lines in the halves."""
+        return tuple(int((part == 255).all(axis=2)[172 - 40].sum()) for part in halves())
+
+    viewer.until(lambda: min(lines()) > 60, "a measured line in both halves")
+    assert lines()[0] == lines()[1]
+    viewer.key("m")
     viewer.key("v")
     viewer.until(lambda: np.median(halves()[0][:, -1]) > 100, "the line")
     divided = stable_image(viewer)

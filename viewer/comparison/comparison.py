@@ -40,6 +40,7 @@ class Comparison:
         share: position of the line, from 0 at the left edge of the free area to 1 at its right edge.
         folder: the folder of the capture, which the user may have chosen; None until it is chosen or found.
         other: the other scene, or None while captured pictures are compared.
+        given_error: the reason why the other scene that was given at the start cannot be opened, or None.
     """
 
     def __init__(self, context: moderngl.Context, folder: Path | None = None, other: Path | None = None) -> None:
@@ -48,6 +49,8 @@ class Comparison:
         self.share = 0.5
         self.folder: Path | None = None
         self.other: OtherScene | None = None
+        self.given_error: Exception | None = None
+        self._is_other_given = False
         self._given: tuple[Path | None, Path | None] = folder, other
         self._context = context
         self._pictures: CapturedPictures | None = None
@@ -81,6 +84,7 @@ class Comparison:
         self.set_folder(folder)
         if other is not None:
             self.set_other(other)
+            self._is_other_given = True
 
     def choose(self, mode: Mode, scene: LoadedScene) -> str:
         """Set the mode. Returns the reason why there is nothing to compare with, or an empty string."""
@@ -114,7 +118,8 @@ class Comparison:
         """Return the reason why the picture or the other scene cannot be read, once."""
         if self.other is not None:
             error = self.other.take_error()
-            if error and self.other.has_failed:
+            if self.other.error is not None:
+                self.given_error = self.other.error if self._is_other_given else None
                 self.release()
             return error
         return "" if self._pictures is None else self._pictures.take_error()
@@ -127,6 +132,7 @@ class Comparison:
     def set_other(self, path: Path) -> None:
         """Compare with the scene in ``path`` from now on, side by side at first."""
         self.release()
+        self._is_other_given = False
         self.other = OtherScene(self._context, path)
         self.mode = "side by side"
 

@@ -37,9 +37,9 @@ class OtherScene:
         return self._renderer is not None and self._renderer.stale_images > 0
 
     @property
-    def has_failed(self) -> bool:
-        """Whether the scene could not be opened."""
-        return self._session.error is not None
+    def error(self) -> Exception | None:
+        """The reason why the scene could not be opened, or None."""
+        return self._session.error
 
     @property
     def texture(self) -> int | None:
@@ -50,6 +50,11 @@ class OtherScene:
         assert isinstance(texture, moderngl.Texture)
         texture.swizzle = "RGB1"  # the image covers what is below it, also where the scene has no points
         return texture.glo
+
+    @property
+    def drawn(self) -> RenderRequest | None:
+        """The image that was drawn last, or None until there is one."""
+        return self._drawn
 
     def take_error(self) -> str:
         """Return the reason why the scene or a frame cannot be read, once."""

@@ -36,6 +36,10 @@ class Area:
         left = Area(self.left, self.top, width, self.height)
         return left, Area(self.left + width, self.top, self.width - width, self.height)
 
+    def contains(self, x: float, y: float) -> bool:
+        """Return whether a position is in the area."""
+        return 0 <= x - self.left < self.width and 0 <= y - self.top < self.height
+
     def moved(self, right: float) -> Area:
         """Return the area, moved to the right."""
         return Area(self.left + right, self.top, self.width, self.height)

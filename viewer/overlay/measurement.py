@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
 from imgui_bundle import imgui
-from numpy.typing import NDArray
 
-from fourd.base.cameras import Camera
+from fourd.base.units import format_length
+from fourd.viewer.display import RenderRequest
 from fourd.viewer.interface.layout import Area
 from fourd.viewer.measuring.pick import pick
 from fourd.viewer.overlay.label import draw_label
+from fourd.viewer.overlay.views import ShownView, shown_views
 from fourd.viewer.state import ViewerState
 
 _LEFT = 0
@@ -22,19 +22,15 @@ _HINT = "click on two points to measure"
 def draw_measurement(state: ViewerState) -> None:
     """Draw the ends, the line and its length, and choose an end if the user has clicked on the scene."""
     measurement, session = state.measurement, state.session
-    if not measurement.is_on or session.scene is None or session.pose is None:
+    if not measurement.is_on or session.scene is None:
         return
-    camera = session.pose.camera(*state.window.framebuffer_size, state.picture_shift)
+    views = shown_views(state)
     if _is_clicked():
-        _choose(state, camera)
+        _choose(state, views)
     if not measurement.places:
         draw_label(state.text_scale, state.rendered_area, _HINT, is_at_bottom=True)
-    ends = [end for end in (_in_window(state, camera, place) for place in measurement.places) if end is not None]
-    _draw_line(state, ends)
-    if measurement.length is not None and len(ends) == 2:
-        x, y = (ends[0].x + ends[1].x) / 2, (ends[0].y + ends[1].y) / 2
-        beside = Area(x, y - 20 * state.text_scale, 300 * state.text_scale, 60 * state.text_scale)
-        draw_label(state.text_scale, beside, f"{measurement.length:.3f}")
+    for view in views:
+        _draw_in(state, view, session.scene.manifest.metres_per_unit)
 
 
 def _is_clicked() -> bool:
@@ -45,29 +41,47 @@ def _is_clicked() -> bool:
     return max(abs(drag.x), abs(drag.y)) <= _MOST_DRAG
 
 
-def _choose(state: ViewerState, camera: Camera) -> None:
-    request = state.session.render_request(state.window.framebuffer_size)
-    if request is None:
-        return
+def _choose(state: ViewerState, views: tuple[ShownView, ...]) -> None:
+    """Choose the place under the mouse, in the scene that is there."""
     mouse, scale = imgui.get_mouse_pos(), state.pixels_per_unit
-    place = pick(request.frame, camera, (scale * mouse.x, scale * mouse.y), request.manifest.near)
+    view = next((view for view in views if view.area.contains(mouse.x, mouse.y)), None)
+    request = None if view is None else _request(state, view)
+    if view is None or request is None:
+        return
+    if view.camera is None:
+        state.session.message = "this picture is that of another view: press N or P, or click on the scene"
+        return
+    place = pick(request.frame, view.camera, (scale * mouse.x, scale * mouse.y), request.manifest.near)
     if place is None:
         state.session.message = "there is no point of the scene: click on the scene"
     else:
         state.measurement.choose(place)
 
 
-def _in_window(state: ViewerState, camera: Camera, place: NDArray[np.float64]) -> imgui.ImVec2 | None:
-    """Return the position of a place in window coordinates, or None if it is behind the camera."""
-    pixels, depth = camera.project(place[None])
-    if depth[0] <= 0:
-        return None
-    x, y = pixels[0] / state.pixels_per_unit
-    return imgui.ImVec2(float(x), float(y))
+def _request(state: ViewerState, view: ShownView) -> RenderRequest | None:
+    """Return what is drawn in a part of the window, or None until it is drawn."""
+    other = state.comparison.other
+    if view.is_other and other is not None:
+        return other.drawn
+    return state.session.render_request(state.window.framebuffer_size, shift=state.picture_shift)
 
 
-def _draw_line(state: ViewerState, ends: list[imgui.ImVec2]) -> None:
-    drawing, scale = imgui.get_background_draw_list(), state.text_scale
+def _draw_in(state: ViewerState, view: ShownView, metres_per_unit: float | None) -> None:
+    """Draw the line with its ends and its length in a part of the window."""
+    measurement, scale = state.measurement, state.text_scale
+    ends = [end for end in map(view.in_window, measurement.places) if end is not None]
+    with view.clipped(imgui.get_background_draw_list()):
+        _draw_line(scale, ends)
+    if measurement.length is None or len(ends) < 2:
+        return
+    x, y = (ends[0].x + ends[1].x) / 2, (ends[0].y + ends[1].y) / 2
+    if view.area.contains(x, y):
+        beside = Area(x, y - 44 * scale, 300 * scale, 60 * scale)  # above the line
+        draw_label(scale, beside, format_length(measurement.length, metres_per_unit, ".3f"))
+
+
+def _draw_line(scale: float, ends: list[imgui.ImVec2]) -> None:
+    drawing = imgui.get_background_draw_list()
     white, black = imgui.IM_COL32(255, 255, 255, 255), imgui.IM_COL32(0, 0, 0, 255)
     if len(ends) == 2:
         drawing.add_line(ends[0], ends[1], black, 4 * scale)

@@ -26,12 +26,11 @@ def draw_notices(state: ViewerState, now: float) -> None:
     """
     session = state.session
     if session.opening is not None:
-        work, share = session.opening_work
-        label = f"Opening {session.opening.name}" + (f": {work}" if work else "")
-        _draw_loading(state, label, share)
-    elif session.is_waiting:
-        is_run = session.scene is not None and session.scene.checkpoint
-        _draw_loading(state, f"{'Computing' if is_run else 'Reading'} frame {session.playback.frame + 1}")
+        work = session.opening_work
+        _draw_loading(state, f"Opening {session.opening.name}" + (f": {work}" if work else ""))
+    elif session.is_waiting and session.scene is not None:
+        work = "Computing" if session.scene.checkpoint else "Reading"
+        _draw_loading(state, f"{work} frame {session.playback.frame + 1}", session.scene.computed_share)
     strength = state.notice.strength(session.message, now)
     if strength <= 0:
         session.message = ""
@@ -40,9 +39,13 @@ def draw_notices(state: ViewerState, now: float) -> None:
 
 
 def _draw_loading(state: ViewerState, label: str, share: float = 0.0) -> None:
-    """Draw a bar that shows the share of the work that is done, or moves to and fro if the share is 0."""
+    """Draw a bar that shows the share of the work that is done, or moves to and fro if the share is 0: nobody knows how
+    long it takes to load torch or to read a file."""
     free, scale = state.layout.free, state.text_scale
-    imgui.set_next_window_pos(imgui.ImVec2(*free.centre), imgui.Cond_.always, imgui.ImVec2(0.5, 0.5))
+    middle, top = imgui.ImVec2(*free.centre), imgui.ImVec2(free.centre[0], free.top + MARGIN * scale)
+    # The bar must not hide the subject.
+    at, pivot = (top, imgui.ImVec2(0.5, 0)) if state.session.has_frame else (middle, imgui.ImVec2(0.5, 0.5))
+    imgui.set_next_window_pos(at, imgui.Cond_.always, pivot)
     imgui.begin("##loading", None, _FLAGS | imgui.WindowFlags_.no_inputs)
     imgui.text(label)
     width = min(_LOADING_WIDTH * scale, max(free.width - 4 * MARGIN * scale, 40))

@@ -20,7 +20,7 @@ def _draw(state: ViewerState) -> None:
     if scene is None or pose is None:
         return
     if scene.manifest.cameras:
-        _draw_cameras(state, scene.manifest.names)
+        _draw_cameras(state, scene.manifest.names, scene.camera_order)
     changed, degrees = imgui.slider_float(
         "field of view",
         float(np.degrees(pose.field_of_view)),
@@ -51,13 +51,14 @@ def _draw_bookmarks(state: ViewerState) -> None:
         state.bookmarks.remove(removed)
 
 
-def _draw_cameras(state: ViewerState, names: Sequence[str]) -> None:
-    """Draw the list of cameras, which shows "free" while the view is not that of a camera."""
+def _draw_cameras(state: ViewerState, names: Sequence[str], order: Sequence[int]) -> None:
+    """Draw the list of cameras in an order, which shows "free" while the view is not that of a camera."""
     is_free = state.session.is_free
-    if not imgui.begin_combo("camera", FREE if is_free else names[state.camera_index]):
+    shown = FREE if is_free else names[state.camera_index]
+    if not imgui.begin_combo("camera", shown, imgui.ComboFlags_.height_largest):
         return
-    for index, name in enumerate(names):
-        if imgui.selectable(f"{name}##{index}", not is_free and index == state.camera_index)[0]:
+    for index in order:
+        if imgui.selectable(f"{names[index]}##{index}", not is_free and index == state.camera_index)[0]:
             state.move_to_camera(index)
     imgui.end_combo()
 

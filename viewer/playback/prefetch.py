@@ -11,8 +11,8 @@ from fourd.base.errors import UserError
 from fourd.scene import BakedFrame, SceneManifest
 
 BUFFER_BYTES = 384 << 20
-_MIN_FRAMES = 2
-_MAX_FRAMES = 32
+MIN_FRAMES = 2
+MAX_FRAMES = 32
 
 
 class BakedFrameSource(Protocol):
@@ -32,14 +32,18 @@ class BakedFrameSource(Protocol):
 class FramePrefetcher:
     """Returns buffered frames, and reads the next ones in a thread. Only one thread may call :meth:`get`."""
 
-    def __init__(self, source: BakedFrameSource, buffer_bytes: int = BUFFER_BYTES) -> None:
+    def __init__(
+        self, source: BakedFrameSource, buffer_bytes: int = BUFFER_BYTES, wanted_frames: int = MAX_FRAMES
+    ) -> None:
         """The prefetcher takes ownership of ``source``, and :meth:`close` closes the source.
 
         ``buffer_bytes`` limits the memory of the buffered frames plus the source's background. At least two frames are
-        buffered, even if they exceed the limit.
+        buffered, even if they exceed the limit. Frames are read until the current frame and those that follow it are
+        ``wanted_frames``; frames that have been read are kept.
         """
         self._source = source
         self._frame_count = source.manifest.frame_count
+        self._wanted_frames = wanted_frames
         self._frame_bytes = buffer_bytes - source.manifest.background_nbytes
         self._changed = threading.Condition()
         self._buffer: dict[int, BakedFrame | UserError] = {}
@@ -142,7 +146,7 @@ class FramePrefetcher:
         not buffered. Returns None if all of them are buffered, or if no frame has been requested yet."""
         if not self._has_started:
             return None
-        upcoming = islice(self._playback_order(), self._capacity())
+        upcoming = islice(self._playback_order(), min(self._capacity(), self._wanted_frames))
         return next((index for index in upcoming if index not in self._buffer), None)
 
     def _evict(self) -> None:
@@ -157,9 +161,9 @@ class FramePrefetcher:
         any other.
         """
         if self._largest is None:
-            return min(_MIN_FRAMES, self._frame_count)
+            return min(MIN_FRAMES, self._frame_count)
         fitting = self._frame_bytes // max(self._largest, 1)
-        return min(max(_MIN_FRAMES, fitting), _MAX_FRAMES, self._frame_count)
+        return min(max(MIN_FRAMES, fitting), MAX_FRAMES, self._frame_count)
 
     def _playback_order(self) -> Iterator[int]:
         """Yield the indices of all frames in playback order, starting at the current frame."""

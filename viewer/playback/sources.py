@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fourd.base.errors import UserError, command_line
+from fourd.base.progress import Item, Track
 from fourd.base.storage import Location, StorageUrl
 from fourd.reconstruction.training.run_layout import newest_checkpoint
 from fourd.scene import BakedFrame, SceneManifest, SceneReader, combine_frames
@@ -18,12 +19,12 @@ from fourd.viewer.playback.prefetch import BakedFrameSource
 if TYPE_CHECKING:
     from fourd.reconstruction.training.run import TrainedRun
 
-Report = Callable[[str, float], None]
-"""Called with what is being done while a scene is opened, and the share of the work that is done, from 0 to 1."""
+Report = Callable[[str], None]
+"""Called with what is being done while a scene is opened."""
 _NICENESS = 10
 
 
-def unreported(work: str, share: float) -> None:
+def unreported(work: str) -> None:
     """Report nothing."""
 
 
@@ -31,22 +32,25 @@ class RunSource:
     """Computes (bakes) the frames of a training run from its newest checkpoint. This class needs torch and is not
     thread-safe.
 
+    Attributes:
+        share: share of the frame that is being computed, from 0 to 1, by the number of views whose colours are done. It
+            is 0 if the run has no such views. Another thread may read it.
+
     Raises UserError when the folder is not a run, has no readable checkpoint, or cannot be baked.
     """
 
     def __init__(self, folder: Path, report: Report = unreported) -> None:
-        # The shares are those of a small run: loading torch takes as long as the rest.
-        report("loading torch", 0.1)
+        report("loading torch")
         from fourd.scene.bake import make_manifest, require_bakeable
 
         _lower_priority()
         self._folder = folder
         self._trained: TrainedRun | None = None
         self._background: BakedFrame | None = None
+        self.share = 0.0
         self._background_step = -1  # training step of the checkpoint from which the background is baked
-        report("reading the checkpoint", 0.5)
+        report("reading the checkpoint")
         trained = self._load_newest()
-        report("reading the cameras", 0.9)
         require_bakeable(trained.run)
         self.manifest: SceneManifest = make_manifest(trained)
 
@@ -74,9 +78,11 @@ class RunSource:
         trained = self._load_newest()
         views = select_baked_views(trained.run)
         with torch.no_grad():
-            frame = bake_frame(trained, index, views)
-            if trained.step != self._background_step:
-                self._background = bake_background(trained, views)
+            needs_background = trained.step != self._background_step and trained.renderer.background is not None
+            track = self._tracker((2 if needs_background else 1) * len(views))
+            frame = bake_frame(trained, index, views, track)
+            if needs_background:
+                self._background = bake_background(trained, views, track)
                 self._background_step = trained.step
         if self._background is not None:
             frame = combine_frames(frame, self._background)
@@ -87,6 +93,19 @@ class RunSource:
                 "got NaN, infinity or a value out of range; training has failed: lower the learning rates"
             )
         return frame
+
+    def _tracker(self, total: int) -> Track:
+        """Return a function that counts ``total`` views in :attr:`share`."""
+        self.share, done = 0.0, 0
+
+        def track(items: Iterable[Item], count: int, what: str) -> Iterator[Item]:
+            nonlocal done
+            for item in items:
+                yield item
+                done += 1
+                self.share = done / total
+
+        return track
 
     def _load_newest(self) -> TrainedRun:
         from fourd.reconstruction.training.run import load_run
@@ -117,7 +136,7 @@ def _lower_priority() -> None:
 def open_frame_source(path: Location, report: Report = unreported) -> BakedFrameSource:
     """Open a `.4dv` file or its URL, a run's folder, a file of Gaussian splats or a folder of such files.
 
-    ``report`` is called with the progress of a run, which takes seconds.
+    ``report`` is called with what is done to open a run, which takes seconds.
 
     Raises UserError, which names the file and the fix, if the scene or run cannot be opened.
     """

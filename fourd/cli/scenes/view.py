@@ -87,16 +87,29 @@ def run(arguments: Arguments) -> None:
     )
     if arguments.transparent and (arguments.screenshot is None or arguments.headless is not None):
         raise UserError("--transparent: expected --screenshot FILE.png alone, got another output; videos have no alpha")
-    if arguments.capture is not None:
-        from fourd.viewer.comparison.captured import require_capture
-
-        require_capture(arguments.capture)
+    _check_comparison(arguments)
     style = None if arguments.style is None else load_style(arguments.style)
     settings = DisplaySettings(layers=arguments.layers or 0, background=DEFAULT_BACKGROUND, style=style)
     if arguments.background is not None:
         settings = settings.with_background(arguments.background)
     with nullcontext() if arguments.source is None else local_copy(arguments.source, transfer_progress()) as source:
         _view(arguments, source, settings, console)
+
+
+def _check_comparison(arguments: Arguments) -> None:
+    """Raise UserError if there is nothing to compare with, or no window for the comparison."""
+    has_window = arguments.headless is None and arguments.screenshot is None
+    for name, path in (("--capture", arguments.capture), ("--beside", arguments.beside)):
+        if path is not None and not has_window:
+            raise UserError(f"{name}: expected a window to compare in, got --headless or --screenshot; omit {name}")
+        if path is not None and not path.exists():
+            raise UserError(f"{name} {path}: expected a file or a folder, got nothing there; check the path")
+    if arguments.beside is not None and arguments.source is None:
+        raise UserError("--beside: expected a scene to compare with, got none; name it first")
+    if arguments.capture is not None:
+        from fourd.viewer.comparison.captured import require_capture
+
+        require_capture(arguments.capture)
 
 
 def _view(arguments: Arguments, source: Path | None, settings: DisplaySettings, console: Console) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fourd.base.units import format_length
 from fourd.viewer.measuring.measurement import Measurement
 from fourd.viewer.measuring.pick import pick
 from tests.baking.scenes import ring
@@ -40,3 +41,11 @@ def test_a_third_click_starts_the_next_measurement() -> None:
         assert measurement.length == (None if length is None else pytest.approx(length))
     measurement.toggle()
     assert not measurement.places
+
+
+@pytest.mark.parametrize(
+    ("metres_per_unit", "text"), [(None, "1.250 world units"), (1.0, "1.250 m"), (0.001, "0.001 m"), (2.0, "2.500 m")]
+)
+def test_a_length_has_a_unit(metres_per_unit: float | None, text: str) -> None:
+    """Catches metres that are none, and millimetres that are taken for metres."""
+    assert format_length(1.25, metres_per_unit, ".3f") == text

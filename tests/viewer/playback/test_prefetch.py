@@ -166,6 +166,17 @@ def test_prefetch_follows_the_direction(head: int, direction: int, order: list[i
     prefetcher.close()
 
 
+def test_frames_that_were_expensive_are_kept() -> None:
+    """Catches a run that bakes all its frames ahead, which slows its training, or each frame again in every round."""
+    source = CountedSource([10] * 4)
+    prefetcher = FramePrefetcher(source, wanted_frames=2)
+    for round_ in range(2):
+        for index in range(4):
+            prefetcher.get(index, wait=True)
+            assert reads_at_rest(source, 4 if round_ else min(index + 2, 4)) == [0, 1, 2, 3][: index + 2 + 4 * round_]
+    prefetcher.close()
+
+
 def test_nothing_is_read_before_the_first_request() -> None:
     """Catches a read before the first request, which would waste time if another frame is shown first."""
     source = CountedSource([10] * 5)

@@ -177,3 +177,21 @@ def test_cameras_can_be_selected(count: int, play: PlayerPage) -> None:
     script = "const c = stage.camera(1), m = stage.manifest.cameras[argument]; return [c.rotation, m.rotation];"
     got, expected = play.run(script, count)
     np.testing.assert_allclose(got, expected, atol=1e-9)
+
+
+def test_cameras_are_in_the_order_of_their_names(play: PlayerPage) -> None:
+    """Catches a held-out camera that the user does not find among its neighbours, and a key that takes another order
+    than the list."""
+    script = """
+        player.panel.setCameras(["00", "2", "10", "01"]);
+        const visited = [];
+        player.moveToCamera = (index) => { player.cameraIndex = index; visited.push(index); };
+        for (const code of ["KeyN", "KeyN", "KeyN", "KeyP", "KeyP", "KeyP"]) {
+          player.dispatchEvent(new KeyboardEvent("keydown", { code, bubbles: true }));
+        }
+        return [[...player.panel.camera.options].map((option) => option.text), visited];
+    """
+    play.run("player.cameraIndex = -1; player.focus();")
+    names, visited = play.run(script)
+    assert names == ["Camera", "00", "01", "2", "10"]
+    assert visited == [0, 3, 1, 3, 0, 2]

@@ -121,9 +121,14 @@ export class Panel {
     this.more.setAttribute("aria-expanded", String(isShown));
   }
 
-  /** @param {string[]} cameras */
+  /**
+   * Lists cameras in the order of their names. In the manifest, held-out cameras come last.
+   * @param {string[]} cameras
+   */
   setCameras(cameras) {
-    this.camera.replaceChildren(new Option("Camera", ""), ...cameras.map((name, index) => new Option(name, String(index))));
+    const options = cameras.map((name, index) => new Option(name, String(index)));
+    options.sort((one, other) => one.text.localeCompare(other.text, "en", { numeric: true }));
+    this.camera.replaceChildren(new Option("Camera", ""), ...options);
     this.camera.hidden = cameras.length === 0;
   }
 

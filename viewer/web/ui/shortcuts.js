@@ -65,8 +65,11 @@ function changeSpeed(player, direction) {
  * @param {number} direction
  */
 function changeCamera(player, direction) {
-  const count = player.stage?.manifest.cameras.length ?? 0;
-  if (count) player.moveToCamera((player.cameraIndex + direction + count) % count);
+  const order = [...player.panel.camera.options].map((option) => option.value).filter((value) => value !== "");
+  if (order.length === 0) return;
+  const now = order.indexOf(String(player.cameraIndex));
+  const next = now < 0 && direction < 0 ? order.length - 1 : (now + direction + order.length) % order.length;
+  player.moveToCamera(Number(order[next]));
 }
 
 /** @param {FourdPlayer} player */
