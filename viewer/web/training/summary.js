@@ -13,6 +13,8 @@ const PHASES = {
   idle: "not training",
 };
 
+const NEW_VIEWS = "Quality of new views";
+
 /**
  * Shows the phase, the progress and the numbers of a run.
  * @param {Status} status
@@ -26,7 +28,7 @@ export function showStatus(status) {
   bar.hidden = status.spent === null;
   const numbers = numbersOf(status);
   const list = byId("numbers");
-  if (list.children.length !== numbers.length) list.replaceChildren(...numbers.map(makeEntry));
+  if (list.children.length !== numbers.length) list.replaceChildren(...numbers.map(([name]) => makeEntry(name)));
   numbers.forEach(([name, value], i) => {
     setText(list.children[i].children[0], name);
     setText(list.children[i].children[1], value);
@@ -50,7 +52,7 @@ function numbersOf(status) {
     ["Training time", formatDuration(status.seconds)],
     ["Time left", status.remaining_seconds === null ? "–" : formatDuration(status.remaining_seconds)],
   ];
-  if (status.held_out !== "") numbers.push(["Quality of new views", status.held_out]);
+  if (status.held_out !== "") numbers.push([NEW_VIEWS, status.held_out.replace(/^held out: /, "")]);
   if (status.segment !== null) numbers.unshift(["Segment", String(status.segment)]);
   if (status.broken_lines > 0) numbers.push(["Unreadable lines of the log", String(status.broken_lines)]);
   return numbers;
@@ -61,8 +63,10 @@ function formatPsnr(psnr) {
   return psnr === null ? "–" : `${psnr.toFixed(2)} dB`;
 }
 
-function makeEntry() {
+/** @param {string} name */
+function makeEntry(name) {
   const entry = document.createElement("div");
+  entry.classList.toggle("sentence", name === NEW_VIEWS);
   entry.append(document.createElement("dt"), document.createElement("dd"));
   return entry;
 }
