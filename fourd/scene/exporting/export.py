@@ -99,7 +99,7 @@ def export_scene(scene: Scene, out: Path, settings: ExportSettings, track: Track
     manifest = scene.manifest
     files = list_files(out, settings, manifest)
     fit = SplatFit(manifest, 0 if settings.format in ("splat", "ply") else settings.degree)
-    rotation = _rotation(manifest, settings)
+    rotation, unit = _rotation(manifest, settings), manifest.metres_per_unit or 1.0
     loss = _LossMeter(manifest, settings.frames)
     for position, index in enumerate(track(settings.frames, len(settings.frames), "export")):
         frame = scene.frame(index)
@@ -107,12 +107,12 @@ def export_scene(scene: Scene, out: Path, settings: ExportSettings, track: Track
         loss.measure(scene, index, cloud)
         if rotation is not None:
             cloud = rotate_cloud(cloud, rotation)
-        _write(files[position], cloud, settings.format, None if files == [out] else position)
+        _write(files[position], cloud, settings.format, None if files == [out] else position, unit)
     size = sum(file.stat().st_size for file in files) / max(len(files), 1)
     if settings.format == "usd" and files != [out]:
         player = out if _is_file_name(out, "usd") else out / usd.SCENE
         names = [file.relative_to(player.parent).as_posix() for file in files]
-        usd.write_usd_scene(player, names, settings.degree, manifest.fps)
+        usd.write_usd_scene(player, names, settings.degree, manifest.fps, unit)
         files.append(player)
     return ExportReport(tuple(files), size, loss.psnr)
 
@@ -160,7 +160,7 @@ def _require_packages(kind: Format, out: Path) -> None:
         usd.require_usd(out)
 
 
-def _write(path: Path, cloud: SplatCloud, kind: Format, time: int | None) -> None:
+def _write(path: Path, cloud: SplatCloud, kind: Format, time: int | None, metres_per_unit: float) -> None:
     writers: dict[Format, Callable[[Path, SplatCloud], None]] = {
         "ply-sequence": write_splat_ply,
         "splat": write_splat,
@@ -169,7 +169,7 @@ def _write(path: Path, cloud: SplatCloud, kind: Format, time: int | None) -> Non
         "ply": _write_points,
     }
     if kind == "usd":
-        usd.write_splat_usd(path, cloud, time)
+        usd.write_splat_usd(path, cloud, time, metres_per_unit)
     else:
         writers[kind](path, cloud)
 

@@ -1,7 +1,7 @@
 """Gaussian splats in USD files, with the schema ParticleField3DGaussianSplat of the package usd-core.
 
 Each frame is stored in a separate file, so that neither the writer nor a player needs to hold all frames in memory. A
-scene file plays these files as value clips. One unit is a metre.
+scene file plays these files as value clips. All files state the length of a unit.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def require_usd(path: Path) -> None:
         )
 
 
-def write_splat_usd(path: Path, cloud: SplatCloud, time: float | None = None) -> None:
+def write_splat_usd(path: Path, cloud: SplatCloud, time: float | None = None, metres_per_unit: float = 1.0) -> None:
     """Write one frame as a USD file, atomically. Its suffix, one of :data:`SUFFIXES`, selects text or binary.
 
     The values are the attributes' default values. If ``time`` is given, they are also time samples at this time code,
@@ -44,7 +44,7 @@ def write_splat_usd(path: Path, cloud: SplatCloud, time: float | None = None) ->
 
     terms = cloud.sh.shape[-1]
     with atomic_path(path) as temporary:
-        stage, field = _new_stage(temporary, cloud.degree)
+        stage, field = _new_stage(temporary, cloud.degree, metres_per_unit)
         harmonics = cloud.sh.transpose(0, 2, 1).reshape(len(cloud) * terms, 3)
         values = (
             Vt.Vec3fArray.FromNumpy(_contiguous(cloud.xyz)),
@@ -63,7 +63,7 @@ def write_splat_usd(path: Path, cloud: SplatCloud, time: float | None = None) ->
         stage.GetRootLayer().Save()
 
 
-def write_usd_scene(path: Path, frames: Sequence[str], degree: int, fps: float) -> None:
+def write_usd_scene(path: Path, frames: Sequence[str], degree: int, fps: float, metres_per_unit: float = 1.0) -> None:
     """Atomically write a scene file, which plays the files ``frames`` at ``fps`` frames per second.
 
     Frame i is shown from the time code i until the time code i + 1, without a transition, because the points of
@@ -75,7 +75,7 @@ def write_usd_scene(path: Path, frames: Sequence[str], degree: int, fps: float) 
     from pxr import Usd
 
     with atomic_path(path) as temporary:
-        stage, field = _new_stage(temporary, degree)
+        stage, field = _new_stage(temporary, degree, metres_per_unit)
         stage.SetStartTimeCode(0)
         stage.SetEndTimeCode(len(frames) - 1)
         stage.SetTimeCodesPerSecond(fps)
@@ -92,13 +92,13 @@ def write_usd_scene(path: Path, frames: Sequence[str], degree: int, fps: float) 
         stage.GetRootLayer().Save()
 
 
-def _new_stage(path: Path, degree: int) -> tuple[Any, Any]:
+def _new_stage(path: Path, degree: int, metres_per_unit: float) -> tuple[Any, Any]:
     """Return a new stage, and its only prim, which has no values but the degree of the spherical harmonics."""
     from pxr import Usd, UsdGeom, UsdVol
 
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
-    UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.LinearUnits.meters)
+    UsdGeom.SetStageMetersPerUnit(stage, metres_per_unit)
     field = UsdVol.ParticleField3DGaussianSplat.Define(stage, PRIM)
     stage.SetDefaultPrim(field.GetPrim())
     field.CreateRadianceSphericalHarmonicsDegreeAttr().Set(degree)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ Export = Callable[..., list[Path]]
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A scene whose frames have the same number of points, so that a player can interpolate between them."""
     path = tmp_path_factory.mktemp("scene") / "scene.4dv"
-    with SceneWriter(path, manifest(frames=FRAMES)) as writer:
+    with SceneWriter(path, replace(manifest(frames=FRAMES), metres_per_unit=0.5)) as writer:
         for index in range(FRAMES):
             writer.add_frame(index, random_frame(60, 6, seed=index))
     return path
@@ -99,7 +100,7 @@ def test_one_frame_has_default_values(export: Export) -> None:
 
 @pytest.mark.parametrize("name", ["out", "walk.usda", "walk.usdc", "one.usdc", "one.usda"])
 def test_the_validators_find_no_error(export: Export, name: str) -> None:
-    """Catches a missing unit or up axis, attributes of a wrong type, and clips whose files are not found."""
+    """Catches a missing or wrong unit or up axis, attributes of a wrong type, and clips whose files are not found."""
     validation = pytest.importorskip("pxr.UsdValidation")
     from pxr import UsdGeom
 
@@ -112,7 +113,7 @@ def test_the_validators_find_no_error(export: Export, name: str) -> None:
         stage, field = open_field(file)
         errors = validation.ValidationContext(validators).Validate(stage)
         assert [(error.GetName(), error.GetMessage()) for error in errors] == []
-        assert UsdGeom.GetStageMetersPerUnit(stage) == 1
+        assert UsdGeom.GetStageMetersPerUnit(stage) == 0.5
         assert UsdGeom.GetStageUpAxis(stage) == "Y"
         assert len(field.GetPositionsAttr().Get(0)) == 60
 
