@@ -50,7 +50,7 @@ std::uint32_t saved_registers() {
 
 bool has_bits(std::uint32_t value, std::uint32_t bits) { return (value & bits) == bits; }
 
-Simd widest() {
+Simd detect() {
     constexpr std::uint32_t kFma = 1u << 12, kOsxsave = 1u << 27, kAvx = 1u << 28, kF16c = 1u << 29;  // CPUID leaf 1, ECX.
     constexpr std::uint32_t kAvx2 = 1u << 5, kAvx512 = 1u << 16 | 1u << 17 | 1u << 31;                // CPUID leaf 7, EBX.
     constexpr std::uint32_t kYmm = 0x6, kZmm = 0xe6;                                                  // Bits of XCR0.
@@ -62,9 +62,16 @@ Simd widest() {
 
 #else
 
-Simd widest() { return Simd::baseline; }
+Simd detect() { return Simd::baseline; }
 
 #endif
+
+// The processor is asked only once: in a virtual machine, every CPUID instruction stops the machine, and the questions
+// of one kernel call take 50 microseconds.
+Simd widest() {
+    static const Simd found = detect();
+    return found;
+}
 
 constexpr const char* kNames[] = {"baseline", "avx2", "avx512"};
 
