@@ -205,4 +205,4 @@ def test_opcheck() -> None:
     soup = random_soup(np.random.default_rng(0), 20)
     softness = Softness(False, 1e-3, 1e-2, 1e-4, 0.01, 10.0, 1e-3).pack()
     inputs = (soup.xyz.requires_grad_(), soup.tri, soup.features.requires_grad_())
-    torch.library.opcheck(op.rasterize, (*inputs, pack_camera(turned_camera(20, 12)), 20, 12, softness, 5, 1))
+    torch.library.opcheck(op.rasterize.defined, (*inputs, pack_camera(turned_camera(20, 12)), 20, 12, softness, 5, 1))

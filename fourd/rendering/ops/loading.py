@@ -52,7 +52,7 @@ def as_array(tensor: Any) -> Any:
     if not tensor.is_contiguous():
         tensor = tensor.detach().contiguous()
     code = TYPE_CODES.get(str(tensor.dtype))
-    if code is None or tensor.device.type != "cpu" or tensor.numel() == 0:
+    if code is None or not tensor.is_cpu or tensor.numel() == 0:
         return tensor.detach().numpy()
     return np.asarray(_Memory(tensor, code))
 

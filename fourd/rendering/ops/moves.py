@@ -12,6 +12,7 @@ from torch import Tensor
 
 from fourd.base.cameras import Camera
 from fourd.rendering.ops.loading import as_array, load_native, thread_count
+from fourd.rendering.ops.operator import kernel_array
 from fourd.rendering.ops.points.validation import pack_camera
 
 Floats = NDArray[np.float32]
@@ -48,11 +49,11 @@ def adam_rows(
     """
     names = list(gradients)
     load_native().adam_rows(
-        as_array(rows),
-        as_array(steps),
-        [as_array(parameters[name]) for name in names],
-        [as_array(moments[name]) for name in names],
-        [as_array(gradients[name]) for name in names],
+        kernel_array(rows),
+        kernel_array(steps),
+        [kernel_array(parameters[name]) for name in names],
+        [kernel_array(moments[name]) for name in names],
+        [kernel_array(gradients[name]) for name in names],
         [_rates(rates[name]) for name in names],
         [epsilons[name] for name in names],
         *betas,
@@ -73,7 +74,7 @@ def smooth_rows(
 ) -> None:
     """Move the ``rows`` (M,) of ``xyz`` (N, 3) towards their planes (N, 4); see
     :mod:`fourd.reconstruction.training.points.smoothing`, which has the formula and the names."""
-    arrays = [as_array(each) for each in (rows, xyz, planes, spacing)]
+    arrays = [kernel_array(each) for each in (rows, xyz, planes, spacing)]
     load_native().smooth_rows(*arrays, as_array(rates).reshape(-1), strength, tolerance, max_share, _threads())
 
 
@@ -83,21 +84,23 @@ def keep_in_silhouettes(
     """Move the ``rows`` (M,) of ``xyz`` (N, 3) back to ``before`` (M, 3) if they left a silhouette. ``views`` has
     groups of cameras with their mattes (V, H, W)."""
     numbers = [number for cameras, _ in views for camera in cameras for number in pack_camera(camera)]
-    mattes = [as_array(each) for _, each in views]
-    load_native().keep_in_silhouettes(as_array(rows), as_array(xyz), as_array(before), mattes, numbers, _threads())
+    mattes = [kernel_array(each) for _, each in views]
+    load_native().keep_in_silhouettes(
+        kernel_array(rows), kernel_array(xyz), kernel_array(before), mattes, numbers, _threads()
+    )
 
 
 def keep_beyond(rows: Tensor, xyz: Tensor, before: Tensor, camera: Camera, near: float) -> None:
     """Move the ``rows`` (M,) of ``xyz`` (N, 3) back to ``before`` (M, 3) if their depth in ``camera`` is below
     ``near``."""
-    arrays = [as_array(each) for each in (rows, xyz, before)]
+    arrays = [kernel_array(each) for each in (rows, xyz, before)]
     load_native().keep_beyond(*arrays, camera.forward.tolist(), camera.centre.tolist(), near, _threads())
 
 
 def add_magnitudes(rows: Tensor, gradient: Tensor, spacing: Tensor, total: Tensor, count: Tensor) -> None:
     """Add the norms of ``gradient`` (M, 3), times the spacings (N,) of the ``rows`` (M,), to ``total`` (N,), and 1 to
     ``count`` (N,) where the norm is not 0."""
-    arrays = [as_array(each) for each in (rows, gradient, spacing, total, count)]
+    arrays = [kernel_array(each) for each in (rows, gradient, spacing, total, count)]
     load_native().add_magnitudes(*arrays, _threads())
 
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from fourd.rendering.ops.loading import as_array
 from fourd.rendering.ops.moves import adam, has_kernels
+from fourd.rendering.ops.operator import kernel_array
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class DenseAdam(torch.optim.Adam):
             each.step[...] += 1
         adam(
             [each.parameter for each in arrays],
-            [as_array(gradient) for gradient in gradients],
+            [kernel_array(gradient) for gradient in gradients],
             [each.first for each in arrays],
             [each.second for each in arrays],
             [int(each.step) for each in arrays],

@@ -13,7 +13,7 @@ from torch import Tensor
 from fourd.rendering.ops.encoder.reference import encode_images_reference
 from fourd.rendering.ops.gpu import contiguous, cuda_unavailable_reason, load_gpu, uses_gpu_kernels
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
-from fourd.rendering.ops.operator import operator, uninitialised
+from fourd.rendering.ops.operator import kernel_array, operator, uninitialised
 
 SHAPES = ((8, 3, 3), (8, 8, 3), (16, 8, 3), (16, 16, 3), (32, 16, 3), (32, 32, 3), (32, 16, 1), (16, 8, 1), (16, 32, 1))
 """Outputs, inputs and side of the kernel of all layers but the last, whose outputs are the features. The order is that
@@ -93,13 +93,13 @@ def _encode(images: Tensor, weights: list[Tensor], stride: int, needs_gradient: 
             gpu.kernels.encode_images(*arrays, stride, gpu.stream, features.permute(0, 2, 3, 1), maps)
         return features, saved
     load_native().encode_images(
-        as_array(images),
+        kernel_array(images),
         _joined(weights),
         stride,
         thread_count(0, torch.get_num_threads()),
         simd_name(),
-        as_array(features.permute(0, 2, 3, 1)),
-        as_array(saved) if needs_gradient else None,
+        kernel_array(features.permute(0, 2, 3, 1)),
+        kernel_array(saved) if needs_gradient else None,
     )
     return features, saved
 
@@ -125,13 +125,13 @@ def _encode_backward(
     joined = _joined(weights)
     found = np.empty_like(joined)
     load_native().encode_images_backward(
-        as_array(images),
-        as_array(saved),
+        kernel_array(images),
+        kernel_array(saved),
         joined,
         stride,
         thread_count(0, torch.get_num_threads()),
         simd_name(),
-        as_array(by_pixel),
+        kernel_array(by_pixel),
         found,
     )
     used = 0

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from fourd.rendering.ops.heads.layers import NO_TIME_PLANES, HeadSettings, HeadWeights, TimePlanes
 from fourd.rendering.ops.heads.reference import evaluate_heads_reference
-from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
-from fourd.rendering.ops.operator import operator, uninitialised
+from fourd.rendering.ops.loading import load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import kernel_array, operator, uninitialised
 
 SH_COEFFICIENTS = 48
 PADDING = 16
@@ -88,12 +88,12 @@ def _empty_outputs(
 
 
 def _arguments(points: Points, time_planes: Planes, weights: list[Tensor], settings: list[float]) -> list[Any]:
-    arrays = [None if each is None else as_array(each) for each in points]
+    arrays = [None if each is None else kernel_array(each) for each in points]
     planes, axes, columns, coordinates, time = time_planes
-    places = None if coordinates is None else as_array(coordinates)
-    lines = [[as_array(plane) for plane in planes], axes, columns, places, time]
+    places = None if coordinates is None else kernel_array(coordinates)
+    lines = [[kernel_array(plane) for plane in planes], axes, columns, places, time]
     threads = thread_count(0, torch.get_num_threads())
-    return [*arrays, *lines, [as_array(weight) for weight in weights], settings, threads, simd_name()]
+    return [*arrays, *lines, [kernel_array(weight) for weight in weights], settings, threads, simd_name()]
 
 
 @operator("fourd::evaluate_heads", outputs=_empty_outputs, devices=("cpu",))
@@ -117,7 +117,7 @@ def _evaluate(
     out = _empty_outputs(features, samples, weights)
     points = (features, samples, visibility, view_weights, own, xyz, spacing)
     arguments = _arguments(points, (planes, axes, columns, coordinates, time), weights, settings)
-    load_native().evaluate_heads(*arguments, *(as_array(each) for each in out))
+    load_native().evaluate_heads(*arguments, *(kernel_array(each) for each in out))
     return out
 
 
@@ -165,18 +165,18 @@ def _evaluate_backward(
     points = (features, samples, visibility, view_weights, own, xyz, spacing)
     load_native().evaluate_heads_backward(
         *_arguments(points, (planes, axes, columns, coordinates, time), weights, settings),
-        as_array(grad_radius),
-        as_array(grad_density),
-        None if grad_sh is None else as_array(grad_sh),
-        as_array(grad_colour),
-        as_array(sh),
-        as_array(saved),
-        as_array(out[0]),
-        as_array(out[1]),
-        None if own is None else as_array(out[2]),
-        as_array(out[3]),
-        [as_array(plane) for plane in out[4]],
-        [as_array(weight) for weight in out[5]],
+        kernel_array(grad_radius),
+        kernel_array(grad_density),
+        None if grad_sh is None else kernel_array(grad_sh),
+        kernel_array(grad_colour),
+        kernel_array(sh),
+        kernel_array(saved),
+        kernel_array(out[0]),
+        kernel_array(out[1]),
+        None if own is None else kernel_array(out[2]),
+        kernel_array(out[3]),
+        [kernel_array(plane) for plane in out[4]],
+        [kernel_array(weight) for weight in out[5]],
     )
     return out
 

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from fourd.rendering.ops.gpu import contiguous, cuda_unavailable_reason, load_gpu, uses_gpu_kernels
-from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
-from fourd.rendering.ops.operator import operator, uninitialised
+from fourd.rendering.ops.loading import load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import kernel_array, operator, uninitialised
 from fourd.rendering.ops.planes.reference import sample_planes_reference
 
 MAX_PLANES_GPU = 64
@@ -73,8 +73,8 @@ def _sample(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) 
             gpu.kernels.sample_planes(*tensors, axes, gpu.stream, out)
         return out
     threads = thread_count(0, torch.get_num_threads())
-    arrays = [as_array(plane) for plane in planes]
-    load_native().sample_planes(as_array(coordinates), arrays, list(axes), threads, simd_name(), as_array(out))
+    arrays = [kernel_array(plane) for plane in planes]
+    load_native().sample_planes(kernel_array(coordinates), arrays, list(axes), threads, simd_name(), kernel_array(out))
     return out
 
 
@@ -99,14 +99,14 @@ def _sample_backward(
             gpu.kernels.sample_planes_backward(*arrays, grad_planes, grad_coordinates if needs_coordinates else None)
         return grad_planes, grad_coordinates
     load_native().sample_planes_backward(
-        as_array(coordinates),
-        [as_array(plane) for plane in planes],
+        kernel_array(coordinates),
+        [kernel_array(plane) for plane in planes],
         list(axes),
         thread_count(0, torch.get_num_threads()),
         simd_name(),
-        as_array(gradient),
-        [as_array(plane) for plane in grad_planes],
-        as_array(grad_coordinates) if needs_coordinates else None,
+        kernel_array(gradient),
+        [kernel_array(plane) for plane in grad_planes],
+        kernel_array(grad_coordinates) if needs_coordinates else None,
     )
     return grad_planes, grad_coordinates
 

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from fourd.rendering.ops.gpu import uses_gpu_kernels
-from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
-from fourd.rendering.ops.operator import operator, uninitialised
+from fourd.rendering.ops.loading import load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import kernel_array, operator, uninitialised
 from fourd.rendering.ops.points import cuda as gpu
 
 
@@ -36,10 +36,10 @@ def render(
     if uses_gpu_kernels(xyz):
         gpu.render((xyz, features, radius, density), camera, layers, near, transmittance_min, out)
         return out
-    arrays = [as_array(tensor) for tensor in (xyz, features, radius, density)]
+    arrays = [kernel_array(tensor) for tensor in (xyz, features, radius, density)]
     count = thread_count(threads, torch.get_num_threads())
     load_native().render_points(
-        *arrays, camera, layers, near, transmittance_min, count, simd_name(), *map(as_array, out)
+        *arrays, camera, layers, near, transmittance_min, count, simd_name(), *map(kernel_array, out)
     )
     return out
 
@@ -68,16 +68,16 @@ def render_backward(
         gpu.render_backward(inputs, camera, layers, near, (grad_features, grad_alpha, grad_depth), out)
         return out
     load_native().render_points_backward(
-        *map(as_array, inputs),
+        *map(kernel_array, inputs),
         camera,
         layers,
         near,
         thread_count(threads, torch.get_num_threads()),
         simd_name(),
-        as_array(grad_features),
-        as_array(grad_alpha),
-        None if grad_depth is None else as_array(grad_depth),
-        *map(as_array, out),
+        kernel_array(grad_features),
+        kernel_array(grad_alpha),
+        None if grad_depth is None else kernel_array(grad_depth),
+        *map(kernel_array, out),
     )
     return out
 
@@ -128,8 +128,8 @@ def visibility(
         gpu.visibility((xyz, radius, density), camera, (width, height), layers, near, out)
         return out
     count = thread_count(threads, torch.get_num_threads())
-    arrays = [as_array(tensor) for tensor in (xyz, radius, density)]
-    load_native().point_visibility(*arrays, camera, width, height, layers, near, count, simd_name(), as_array(out))
+    arrays = [kernel_array(tensor) for tensor in (xyz, radius, density)]
+    load_native().point_visibility(*arrays, camera, width, height, layers, near, count, simd_name(), kernel_array(out))
     return out
 
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
-from fourd.rendering.ops.operator import operator, uninitialised
+from fourd.rendering.ops.operator import kernel_array, operator, uninitialised
 from fourd.rendering.ops.similarity.reference import WINDOW_PX, structural_similarity_reference
 
 
@@ -46,9 +46,11 @@ def _similarity(prediction: Tensor, target: Tensor, with_gradient: bool) -> tupl
     """
     gradient = _empty_gradient(prediction, with_gradient)
     threads = thread_count(0, torch.get_num_threads())
-    out = as_array(gradient) if with_gradient else None
+    out = kernel_array(gradient) if with_gradient else None
     value = uninitialised(prediction)
-    as_array(value)[...] = load_native().similarity(as_array(prediction), as_array(target), threads, simd_name(), out)
+    as_array(value)[...] = load_native().similarity(
+        kernel_array(prediction), kernel_array(target), threads, simd_name(), out
+    )
     return value, gradient
 
 

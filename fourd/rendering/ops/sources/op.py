@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from fourd.rendering.ops.gpu import contiguous, cuda_unavailable_reason, load_gpu, uses_gpu_kernels
-from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
-from fourd.rendering.ops.operator import operator, uninitialised
+from fourd.rendering.ops.loading import load_native, simd_name, thread_count
+from fourd.rendering.ops.operator import kernel_array, operator, uninitialised
 from fourd.rendering.ops.sources.reference import sample_sources_reference
 
 MAX_VIEWS_GPU = 16
@@ -75,16 +75,16 @@ def _sample(
             gpu.kernels.sample_sources(contiguous(xyz), *maps, cameras, contiguous(softness), gpu.stream, *out)
         return out
     load_native().sample_sources(
-        as_array(xyz),
-        as_array(images),
-        as_array(mattes),
+        kernel_array(xyz),
+        kernel_array(images),
+        kernel_array(mattes),
         _optional_array(depth),
         _optional_array(_channels_last(features)),
         cameras,
-        as_array(softness),
+        kernel_array(softness),
         thread_count(0, torch.get_num_threads()),
         simd_name(),
-        *map(as_array, out),
+        *map(kernel_array, out),
     )
     return out
 
@@ -115,15 +115,15 @@ def _sample_backward(
             )
         return grad_xyz, grad_features
     load_native().sample_sources_backward(
-        as_array(xyz),
-        as_array(images),
-        as_array(mattes),
+        kernel_array(xyz),
+        kernel_array(images),
+        kernel_array(mattes),
         _optional_array(_channels_last(features)),
         cameras,
         thread_count(0, torch.get_num_threads()),
         simd_name(),
-        as_array(gradient),
-        as_array(grad_xyz),
+        kernel_array(gradient),
+        kernel_array(grad_xyz),
         _optional_array(feature_rows),
     )
     return grad_xyz, grad_features
@@ -155,7 +155,7 @@ def _contiguous(tensor: Tensor | None) -> Tensor | None:
 
 
 def _optional_array(tensor: Tensor | None) -> Any:
-    return None if tensor is None else as_array(tensor)
+    return None if tensor is None else kernel_array(tensor)
 
 
 def _channels_last(features: Tensor | None) -> Tensor | None:

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from fourd.rendering.ops.gpu import CPU
 from fourd.rendering.ops.loading import as_array, load_native, simd_name, thread_count
-from fourd.rendering.ops.operator import operator, uninitialised
+from fourd.rendering.ops.operator import kernel_array, operator, uninitialised
 from fourd.rendering.ops.step_images.reference import (
     Bytes,
     convert_views_reference,
@@ -44,7 +44,7 @@ def convert_views(
         return convert_views_reference(views, size, device)
     images, mattes = torch.empty((len(views), 3, *size)), torch.empty((len(views), *size))
     arrays = ([rgb for rgb, _ in views], [matte for _, matte in views])
-    load_native().convert_views(*arrays, *_execution(), as_array(images), as_array(mattes))
+    load_native().convert_views(*arrays, *_execution(), kernel_array(images), kernel_array(mattes))
     return images, mattes
 
 
@@ -54,7 +54,7 @@ def premultiply(rgb: Bytes, matte: Bytes, device: torch.device = CPU) -> tuple[T
     if device.type != "cpu":
         return premultiply_reference(rgb, matte, device)
     colours, weight = torch.empty(rgb.shape), torch.empty(matte.shape)
-    load_native().premultiply(rgb, matte, *_execution(), as_array(colours), as_array(weight))
+    load_native().premultiply(rgb, matte, *_execution(), kernel_array(colours), kernel_array(weight))
     return colours, weight
 
 
@@ -65,7 +65,7 @@ def add_background(rgb: Tensor, alpha: Tensor, background: Sequence[float]) -> T
         return on_background(rgb, alpha, background)
     out = torch.empty(rgb.shape)
     colour = [float(each) for each in background]
-    load_native().add_background(as_array(rgb), as_array(alpha), colour, *_execution(), as_array(out))
+    load_native().add_background(kernel_array(rgb), kernel_array(alpha), colour, *_execution(), kernel_array(out))
     return out
 
 
@@ -137,7 +137,7 @@ def _empty_pixels(features: Tensor, samples: int) -> tuple[Tensor, Tensor, Tenso
 def _resolve(features: Tensor, alpha: Tensor, background: list[float], samples: int) -> tuple[Tensor, Tensor, Tensor]:
     out = _empty_pixels(features, samples)
     load_native().resolve_samples(
-        as_array(features), as_array(alpha), background, samples, *_execution(), *map(as_array, out)
+        kernel_array(features), kernel_array(alpha), background, samples, *_execution(), *map(kernel_array, out)
     )
     return out
 
@@ -159,8 +159,8 @@ def _resolve_backward(
 ) -> tuple[Tensor, Tensor]:
     """Compute the gradients of features and alpha, with the given size and the dtype and the device of ``like``."""
     out = _empty_samples(height, width, like)
-    given = [None if each is None else as_array(each) for each in (colour, last, prediction)]
-    load_native().resolve_samples_backward(*given, background, samples, *_execution(), *map(as_array, out))
+    given = [None if each is None else kernel_array(each) for each in (colour, last, prediction)]
+    load_native().resolve_samples_backward(*given, background, samples, *_execution(), *map(kernel_array, out))
     return out
 
 
