@@ -141,8 +141,7 @@ def _numbers(row: OperatorTime) -> tuple[float, float, float]:
 
 
 def _step(trainer: Trainer, number: int) -> None:
-    sample, points = trainer.begin_step(number)
-    trainer.stepper.step(points, trainer.run.capture.time(sample.frame), sample, RATE_FACTOR, number)
+    trainer.run_step(number, RATE_FACTOR)
     if trainer.scene.views.device.type == "cuda":
         torch.cuda.synchronize()
 
@@ -197,7 +196,7 @@ def _operator_times(events: Iterable[Any], steps: int) -> tuple[tuple[OperatorTi
 def _short_name(name: str) -> str:
     """Return one name for an operator of fourd and its gradient."""
     name = name.removeprefix(BACKWARD)
-    return name.replace("GeneratedBackwardFor_fourd_", "fourd::").removesuffix("_defaultBackward")
+    return f"fourd::{name[6:].removesuffix('Backward')}" if name.startswith("fourd_") else name
 
 
 def _event_count(event: Any) -> int:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
@@ -123,3 +124,22 @@ def test_an_interrupt_is_taken_after_a_whole_step(run: Run, monkeypatch: pytest.
     train(run, config)
     resumed = points_folder(checkpoint_files(run.checkpoints)[-1])
     assert {path.name: path.read_bytes() for path in resumed.iterdir()} == unbroken
+
+
+def test_a_step_that_another_thread_prepares_has_the_same_bits(
+    trained: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a step that is prepared from points, images or a sample that another step still changes."""
+    monkeypatch.setenv("FOURD_THREADS", "2")
+    shutil.copytree(trained.folder, tmp_path / "run", ignore=shutil.ignore_patterns("checkpoints"))
+    run = open_run(tmp_path / "run")
+    trainer = Trainer(run, None, quiet(), trained.config.train)
+    ahead, take = [], trainer.preparation.take
+    monkeypatch.setattr(trainer.preparation, "take", lambda sample: ahead.append(take(sample)) or ahead[-1])
+    trainer.train()
+    assert any(each is not None for each in ahead)
+    for alone, together in zip(checkpoint_files(trained.checkpoints), checkpoint_files(run.checkpoints), strict=True):
+        whole, again = (load_file(path) for path in (alone, together))
+        assert all(torch.equal(whole[name], again[name]) for name in whole)
+        for path in points_folder(alone).iterdir():
+            assert (points_folder(together) / path.name).read_bytes() == path.read_bytes()

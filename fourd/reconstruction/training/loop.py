@@ -47,8 +47,9 @@ from fourd.reconstruction.training.points.frame_store import file_name
 from fourd.reconstruction.training.run import Run, drop_stale_points
 from fourd.reconstruction.training.run_layout import VALIDATION, points_folder
 from fourd.reconstruction.training.scenes.build import build_scene
+from fourd.reconstruction.training.scenes.preparation import StepPreparation
 from fourd.reconstruction.training.schedule import StepSample, StepSampler, budget_spent, rate_factor
-from fourd.reconstruction.training.step import Stepper
+from fourd.reconstruction.training.step import Stepper, StepResult
 from fourd.rendering.ops.gpu import CPU
 
 LOG_INTERVAL = 10
@@ -109,6 +110,7 @@ class Trainer:
         background = run.background(saved)
         self.scene = build_scene(budget, model, run.view_store(device), background, run.config.scene.near)
         self.refinement = run.new_refinement()
+        self.preparation = StepPreparation(self.scene)
         self.stepper = Stepper(self.scene, budget, lpips if lpips is None else lpips.to(device), self.refinement, group)
         self.done = 0
         self.seconds = 0.0
@@ -233,21 +235,25 @@ class Trainer:
         if self.group.is_first:
             self.console.print(f"{self.run.folder}: {line}", soft_wrap=True, markup=False, highlight=False)
 
-    def begin_step(self, number: int) -> tuple[StepSample, FramePoints]:
-        """Return the sample and the points of a step, and start to read the points of the next step."""
+    def run_step(self, number: int, factor: float) -> tuple[StepSample, FramePoints, StepResult]:
+        """Perform the step with this number, with all learning rates multiplied by ``factor``. Meanwhile, another
+        thread prepares the next step. Returns the sample, the points and the result of the step."""
         sample = self.sampler.sample(number)
         points = self.frames.get(sample.frame)
-        following = self.sampler.sample(number + self.group.size).frame
-        if following != sample.frame:
-            self.frames.prepare(following)
-        return sample, points
+        prepared = self.preparation.take(sample) or self.scene.prepare(points, sample)
+        following = self.sampler.sample(number + self.group.size)
+        ahead = None if following.frame == sample.frame else self.frames.prepare(following.frame)
+        # A refinement changes the cameras of all views in each step.
+        if ahead is not None and self.refinement is None:
+            self.preparation.start(following, ahead)
+        update, frame_time = number // self.group.size, self.run.capture.time(sample.frame)
+        result = self.stepper.step(points, frame_time, sample, factor, prepared, update)
+        self.preparation.settle()
+        return sample, points, result
 
     def _step(self, log: MetricsLog | NoLog) -> None:
-        sample, points = self.begin_step(self.done)
         factor = rate_factor(self.config.rates, self.done, self._spent())
-        frame_time = self.run.capture.time(sample.frame)
-        update = self.done // self.group.size
-        result = self.stepper.step(points, frame_time, sample, factor, update)
+        sample, points, result = self.run_step(self.done, factor)
         self.scene.densify(points, sample, self._spent())
         self.psnr = result.psnr if self.done == 0 else PSNR_SMOOTHING * self.psnr + (1 - PSNR_SMOOTHING) * result.psnr
         self.done += self.group.size

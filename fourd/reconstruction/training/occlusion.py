@@ -32,15 +32,15 @@ class SizedPoints(Protocol):
     def density(self) -> Tensor: ...
 
 
-def surface_depth(points: SizedPoints, camera: Camera, near: float) -> Tensor:
+def surface_depth(points: SizedPoints, camera: Camera, near: float, threads: int = 0) -> Tensor:
     """Render the depth (H, W) of the nearest surface beyond the near plane, in world units. It is infinite where
-    alpha is at most 0.5."""
+    alpha is at most 0.5. ``threads`` is the number of CPU threads, or 0 for the default."""
     if points.xyz.device.type == "cpu":
         # NumPy is faster here: after a torch operation, torch's threads busy-wait for the next one and slow down the
         # renderer's threads.
         ones = np.ones((points.xyz.shape[0], 1), np.float32)
         arrays = (as_array(points.xyz), ones, as_array(points.radius), as_array(points.density))
-        _, alpha, depth = render_points_numpy(*arrays, camera, layers=SURFACE_LAYERS, near=near)
+        _, alpha, depth = render_points_numpy(*arrays, camera, layers=SURFACE_LAYERS, near=near, threads=threads)
         np.copyto(depth, np.float32(np.inf), where=~(alpha > 0.5))
         return torch.from_numpy(depth)
     colour = torch.ones_like(points.radius)[:, None]
@@ -79,12 +79,14 @@ def _maximum_filter(image: Tensor, reach: int) -> Tensor:
     return functional.max_pool2d(rows, (1, 2 * reach + 1), stride=1, padding=(0, reach))[0]
 
 
-def with_surface_depth(sources: SourceViews, points: SizedPoints, occlusion: bool, near: float) -> SourceViews:
+def with_surface_depth(
+    sources: SourceViews, points: SizedPoints, occlusion: bool, near: float, threads: int = 0
+) -> SourceViews:
     """Add the surface depth of ``points`` to each of the views ``sources``. If ``occlusion`` is false, the views are
-    returned unchanged."""
+    returned unchanged. ``threads`` is the number of CPU threads, or 0 for the default."""
     if not occlusion:
         return sources
-    depths = [surface_depth(points, camera, near) for camera in sources.cameras]
+    depths = [surface_depth(points, camera, near, threads) for camera in sources.cameras]
     if depths[0].device.type == "cpu":
         return replace(sources, depth=torch.from_numpy(np.stack([as_array(depth) for depth in depths])))
     return replace(sources, depth=torch.stack(depths))

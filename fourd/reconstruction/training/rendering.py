@@ -90,13 +90,14 @@ def composite_samples(
 
 
 def visible_points(
-    clouds: Sequence[FramePoints], viewer: Camera, layers: int, near: float, min_weight: float
+    clouds: Sequence[FramePoints], viewer: Camera, layers: int, near: float, min_weight: float, threads: int = 0
 ) -> list[Tensor]:
     """Return the indices of the visible points of each cloud. A point is visible if its compositing weight exceeds
     ``min_weight`` at one or more pixels of the view. As in :func:`select_heaviest`, the number of indices is rounded up
     to a multiple of COUNT_STEP.
 
-    Clouds occlude each other. If ``min_weight`` is 0, all points are returned.
+    Clouds occlude each other. If ``min_weight`` is 0, all points are returned. ``threads`` is the number of CPU
+    threads, or 0 for the default.
     """
     if min_weight == 0:
         return [torch.arange(cloud.xyz.shape[0], device=cloud.xyz.device) for cloud in clouds]
@@ -107,6 +108,7 @@ def visible_points(
         viewer,
         layers=layers,
         near=near,
+        threads=threads,
     )
     weights = weight.split([cloud.xyz.shape[0] for cloud in clouds])
     return [select_heaviest(each, min_weight) for each in weights]

@@ -25,7 +25,7 @@ from fourd.reconstruction.training.points.selective_adam import BETAS, EPSILON
 from fourd.reconstruction.training.points.silhouette import revert_moves_out_of_silhouettes
 from fourd.reconstruction.training.points.smoothing import smooth_surface
 from fourd.reconstruction.training.rendering import composite_samples
-from fourd.reconstruction.training.scenes.scene import OptimizedPoints, Target, TrainingScene
+from fourd.reconstruction.training.scenes.scene import OptimizedPoints, PreparedStep, Target, TrainingScene
 from fourd.reconstruction.training.schedule import StepSample
 from fourd.rendering.ops.loading import as_array
 from fourd.rendering.ops.step_images.op import add_background, clamped_error, resolve_samples
@@ -79,7 +79,15 @@ class Stepper:
             fused=True,
         )
 
-    def step(self, points: FramePoints, time: float, sample: StepSample, rate_factor: float, number: int) -> StepResult:
+    def step(
+        self,
+        points: FramePoints,
+        time: float,
+        sample: StepSample,
+        rate_factor: float,
+        prepared: PreparedStep | None,
+        number: int,
+    ) -> StepResult:
         """Perform one training step.
 
         Args:
@@ -87,13 +95,16 @@ class Stepper:
             time: time of the frame, in [0, 1].
             sample: the frame and views to render.
             rate_factor: factor from the schedule that multiplies all learning rates.
+            prepared: what the scene has prepared for this step. If it is None, the step is prepared now.
             number: number of the update, for schedules and error messages. One update consists of one step per rank.
 
         Raises:
             UserError: a loss term is not finite. Models and points are unchanged in this case.
         """
-        target = self.scene.target(sample)
-        evaluated = self.scene.evaluate_step(points, time, sample, target.camera, number)
+        if prepared is None:
+            prepared = self.scene.prepare(points, sample)
+        target = prepared.target
+        evaluated = self.scene.evaluate_step(points, time, sample, prepared, number)
         colour, rendered = self._render(evaluated, target, time, sample, number)
         terms = term_values(self.terms, rendered)
         found = _read(list(terms.values()))

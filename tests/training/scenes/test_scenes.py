@@ -55,13 +55,14 @@ def test_a_full_scene_renders_frames_and_plates(ball_capture: Path, tmp_path: Pa
     """Catches a matte for plates, which have no foreground, and a step on a plate that renders the foreground."""
     scene = full_scene(ball_capture, tmp_path, full_config(tmp_path / "shell.ply"))
     assert list(scene.models) == ["model", "background"]
-    frame, plate = scene.target(SAMPLE), scene.target(PLATE)
+    points = scene.background.points
+    prepared = scene.prepare(points, PLATE)
+    frame, plate = scene.prepare(points, SAMPLE).target, prepared.target
     assert frame.matte is not None
     assert frame.known.all()
     assert plate.matte is None
     assert plate.rgb.shape == (32, 32, 3)
-    points = scene.background.points
-    clouds = scene.evaluate_step(points, 0.0, PLATE, plate.camera, 0)
+    clouds = scene.evaluate_step(points, 0.0, PLATE, prepared, 0)
     assert [each.cloud is points for each in clouds] == [True]
 
 
@@ -70,9 +71,10 @@ def test_without_joint_training_frames_are_objects(ball_capture: Path, tmp_path:
     config = full_config(tmp_path / "shell.ply")
     config = replace(config, background=replace(config.background, joint=False))
     scene = full_scene(ball_capture, tmp_path, config)
-    assert torch.equal(scene.target(SAMPLE).rgb, scene.foreground.target(SAMPLE).rgb)
-    assert not scene.target(SAMPLE).fills_picture
-    assert scene.target(PLATE).fills_picture
+    frame, plate = (scene.prepare(scene.background.points, each).target for each in (SAMPLE, PLATE))
+    assert torch.equal(frame.rgb, scene.foreground.target(SAMPLE).rgb)
+    assert not frame.fills_picture
+    assert plate.fills_picture
 
 
 def test_rates_of_positions_scale_with_the_spacing(ball_capture: Path, tmp_path: Path) -> None:
@@ -80,8 +82,8 @@ def test_rates_of_positions_scale_with_the_spacing(ball_capture: Path, tmp_path:
     catches background points that are trained with the learning rate of the foreground."""
     config = full_config(tmp_path / "shell.ply")
     scene = full_scene(ball_capture, tmp_path, config)
-    plate = scene.target(PLATE)
-    background = scene.evaluate_step(scene.background.points, 0.0, PLATE, plate.camera, 0)[0]
+    plate = scene.prepare(scene.background.points, PLATE)
+    background = scene.evaluate_step(scene.background.points, 0.0, PLATE, plate, 0)[0]
     rate = scene.xyz_rate(background, 0.5)
     assert isinstance(rate, torch.Tensor)
     expected = 0.5 * config.background.xyz_rate * background.cloud.spacing[background.rows]
@@ -96,8 +98,8 @@ def test_rates_of_positions_fall_with_the_updates_of_each_point(ball_capture: Pa
     config = full_config(tmp_path / "shell.ply")
     config = replace(config, rates=replace(config.rates, xyz_spacings=0.5, xyz_halving_updates=20))
     scene = full_scene(ball_capture, tmp_path, config)
-    plate = scene.target(PLATE)
-    background = scene.evaluate_step(scene.background.points, 0.0, PLATE, plate.camera, 0)[0]
+    plate = scene.prepare(scene.background.points, PLATE)
+    background = scene.evaluate_step(scene.background.points, 0.0, PLATE, plate, 0)[0]
     foreground = replace(background, cloud=replace(background.cloud))
     foreground.cloud.optimizer.steps[foreground.rows[0]] = 20
     foreground.cloud.optimizer.steps[foreground.rows[1]] = 60

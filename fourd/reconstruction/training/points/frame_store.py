@@ -72,12 +72,24 @@ class FrameStore:
             self._cache[frame] = points
         return self._cache[frame]
 
-    def prepare(self, frame: int) -> None:
+    def prepare(self, frame: int) -> Callable[[], FramePoints] | None:
         """Start reading the points of a frame if they are stored in a file, so that the next call of :meth:`get` can
-        return them at once. The points of the frame must not change before that call."""
+        return them at once. The points of the frame must not change before that call.
+
+        Returns:
+            a function that waits for the points and returns them, for reading only; any thread may call it. None if
+            the points were never in memory, or if they are on a GPU.
+        """
+        if self._device.type != "cpu":
+            return None
+        if frame in self._cache:
+            points = self._cache[frame]
+            return lambda: points
         file = self._newest_file(frame)
-        if frame not in self._cache and file is not None and self._device.type == "cpu":
-            self._ahead = frame, self._worker.submit(self._read, frame, file)
+        if file is None:
+            return None
+        self._ahead = frame, self._worker.submit(self._read, frame, file)
+        return self._ahead[1].result
 
     def save(self, folder: Path, frames: Iterable[int] | None = None) -> None:
         """Write the points of the given frames, or of every frame, to ``folder``, one frame at a time."""

@@ -25,7 +25,7 @@ from fourd.reconstruction.training.points.frame_points import FramePoints
 from fourd.reconstruction.training.points.near_plane import is_before_near
 from fourd.reconstruction.training.rendering import RenderablePoints, visible_points
 from fourd.reconstruction.training.scenes.object_scene import ObjectScene
-from fourd.reconstruction.training.scenes.scene import OptimizedPoints, Target
+from fourd.reconstruction.training.scenes.scene import OptimizedPoints, PreparedStep, Target
 from fourd.reconstruction.training.schedule import StepSample
 from fourd.reconstruction.training.views import View, ViewStore
 
@@ -69,11 +69,14 @@ class FullScene:
         self.foreground.set_rig(rig)
         self.background.rig = rig
 
-    def target(self, sample: StepSample) -> Target:
+    def prepare(self, points: FramePoints, sample: StepSample, threads: int = 0) -> PreparedStep:
         if sample.is_plate:
-            return self._plate_target(sample)
+            return PreparedStep(self._plate_target(sample))
         if not self.config.background.joint:
-            return self.foreground.target(sample)
+            return self.foreground.prepare(points, sample, threads)
+        return PreparedStep(self._frame_target(sample), sources=self.foreground.sources(points, sample, threads))
+
+    def _frame_target(self, sample: StepSample) -> Target:
         margin_px = int(sample.position[0] * (self.config.background.margin_px + 1))
         view = self.views.widened(sample.target, sample.frame, margin_px)
         rgb = torch.tensor(view.rgb, device=self.views.device).float() / 255
@@ -81,16 +84,17 @@ class FullScene:
         return Target(view.camera, rgb, matte, torch.ones_like(matte), fills_picture=True)
 
     def evaluate_step(
-        self, points: FramePoints, time: float, sample: StepSample, camera: Camera, step: int
+        self, points: FramePoints, time: float, sample: StepSample, prepared: PreparedStep, step: int
     ) -> list[OptimizedPoints]:
         if not (sample.is_plate or self.config.background.joint):
-            return self.foreground.evaluate_step(points, time, sample, camera, step)
+            return self.foreground.evaluate_step(points, time, sample, prepared, step)
+        camera = prepared.target.camera
         clouds = [] if sample.is_plate else [points]
         clouds.append(self.background.points)
         rows = visible_points(clouds, camera, self.config.layers, self.near, self.config.hidden_weight)
         evaluated = []
         if not sample.is_plate:
-            evaluated.append(self.foreground.evaluate_visible(points, rows[0], time, sample, camera, step))
+            evaluated.append(self.foreground.evaluate_visible(points, rows[0], time, prepared, step))
         evaluated.append(self._evaluate_background(rows[-1], time, sample, camera, step))
         return evaluated
 

@@ -24,7 +24,7 @@ from fourd.reconstruction.training.memory import RESIDENT_BYTES
 from fourd.reconstruction.training.occlusion import with_surface_depth
 from fourd.reconstruction.training.points.frame_points import FramePoints
 from fourd.reconstruction.training.rendering import RenderablePoints, visible_points
-from fourd.reconstruction.training.scenes.scene import OptimizedPoints, Target
+from fourd.reconstruction.training.scenes.scene import OptimizedPoints, PreparedStep, Target
 from fourd.reconstruction.training.schedule import StepSample
 from fourd.reconstruction.training.views import View, ViewStore
 
@@ -54,31 +54,42 @@ class ObjectScene:
         self.views.rig = rig
 
     def target(self, sample: StepSample) -> Target:
+        """Return the ground-truth image of a step: the matte's content on black."""
         view = self.views.view(sample.target, sample.frame)
         rgb, matte = view.premultiplied(self.views.device)
         return Target(view.camera, rgb, matte, matte, fills_picture=False)
 
+    def prepare(self, points: FramePoints, sample: StepSample, threads: int = 0) -> PreparedStep:
+        target, config = self.target(sample), self.config
+        rows = visible_points([points], target.camera, config.layers, self.near, config.hidden_weight, threads)[0]
+        return PreparedStep(target, rows, self.sources(points, sample, threads))
+
+    def sources(self, points: FramePoints, sample: StepSample, threads: int = 0) -> SourceViews | None:
+        """Return the source views of a step with the depths of its points, or None if the model has no image-based
+        colour."""
+        if self.config.model.appearance == "sh":
+            return None
+        views = self.views.sources(sample.sources, sample.frame).weighted(sample.source_weights)
+        return with_surface_depth(views, points, self.config.model.occlusion, self.near, threads)
+
     def evaluate_step(
-        self, points: FramePoints, time: float, sample: StepSample, camera: Camera, step: int
+        self, points: FramePoints, time: float, sample: StepSample, prepared: PreparedStep, step: int
     ) -> list[OptimizedPoints]:
-        rows = visible_points([points], camera, self.config.layers, self.near, self.config.hidden_weight)[0]
-        return [self.evaluate_visible(points, rows, time, sample, camera, step)]
+        assert prepared.rows is not None, "no other cloud occludes the points of an object scene"
+        return [self.evaluate_visible(points, prepared.rows, time, prepared, step)]
 
     def evaluate_visible(
-        self, points: FramePoints, rows: Tensor, time: float, sample: StepSample, camera: Camera, step: int
+        self, points: FramePoints, rows: Tensor, time: float, prepared: PreparedStep, step: int
     ) -> OptimizedPoints:
         """Evaluate the points with the indices ``rows`` (M,). The result is differentiable."""
-        sources = None
-        if self.config.model.appearance != "sh":
-            views = self.views.sources(sample.sources, sample.frame).weighted(sample.source_weights)
-            sources = with_surface_depth(views, points, self.config.model.occlusion, self.near)
+        sources = prepared.sources
         leaves = {name: value.index_select(0, rows).requires_grad_() for name, value in points.parameters.items()}
         evaluated, colour = evaluate_in_view(
             self.model,
             leaves["xyz"],
             points.spacing.index_select(0, rows),
             time,
-            camera,
+            prepared.target.camera,
             sources,
             explicit_sh=leaves.get("sh"),
             rgb=leaves.get("rgb"),

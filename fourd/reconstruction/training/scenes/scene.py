@@ -48,6 +48,24 @@ class Target:
 
 
 @dataclass(frozen=True)
+class PreparedStep:
+    """The parts of a training step that are determined by images, cameras and the stored points of a frame, and not by
+    networks.
+
+    Attributes:
+        target: the ground-truth image.
+        rows: (M,) indices of the frame's points that are visible in the target's view, or None if the step has no
+            foreground, or if other clouds can occlude it.
+        sources: the source views of the foreground, with the depths that occlude points; None if the step has no
+            foreground, or if its model has no image-based colour.
+    """
+
+    target: Target
+    rows: Tensor | None = None
+    sources: SourceViews | None = None
+
+
+@dataclass(frozen=True)
 class OptimizedPoints:
     """The M points of one cloud that are visible in a step, evaluated for the target camera.
 
@@ -107,11 +125,12 @@ class TrainingScene(Protocol):
     def set_rig(self, rig: Rig) -> None:
         """Replace the cameras of views and plates by the corrected cameras of ``rig``."""
 
-    def target(self, sample: StepSample) -> Target:
-        """Return the ground-truth image of a step."""
+    def prepare(self, points: FramePoints, sample: StepSample, threads: int = 0) -> PreparedStep:
+        """Prepare a step on the points of a frame with at most ``threads`` CPU threads, or with the default number if
+        it is 0. The result does not depend on networks, on the points of other frames or on static clouds."""
 
     def evaluate_step(
-        self, points: FramePoints, time: float, sample: StepSample, camera: Camera, step: int
+        self, points: FramePoints, time: float, sample: StepSample, prepared: PreparedStep, step: int
     ) -> list[OptimizedPoints]:
         """Evaluate the visible points of each cloud that is rendered in a step, with the foreground first."""
 
