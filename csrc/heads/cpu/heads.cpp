@@ -243,9 +243,10 @@ void backward(const Sizes& sizes, const Settings& settings, const float* const* 
     const std::size_t size = count.used(), per_task = points_per_task(inputs.count);
     const std::size_t tasks = std::max<std::size_t>(1, (inputs.count + per_task - 1) / per_task);
     Buffer<float> sums(tasks * size);
-    std::fill_n(sums.data(), sums.size(), 0.0f);
+    if (inputs.count == 0) std::fill_n(sums.data(), sums.size(), 0.0f);
     Team team(execution.threads);
     for_blocks(team, sizes, inputs.count, [&](int task, const Workspace& space, std::size_t first, int count) {
+        if (first == task * per_task) std::fill_n(sums.data() + task * size, size, 0.0f);
         Arena arena(sums.data() + task * size);
         loops.backward(job, space, first, count, saved, upstream, out,
                        place_sums(sizes, tables.knots(), arena));

@@ -66,6 +66,7 @@ class StepSampler:
         """Sample only the cameras ``training``, as targets and as sources."""
         self._training = training
         self._known: dict[int, StepSample] = {}
+        self._weights: dict[tuple[int, ...], NDArray[np.float32]] = {}
         self._pools = {
             target: source_pool(self._cameras, target, training, self._config.neighbour_pool, self._focus)
             for target in training
@@ -99,7 +100,11 @@ class StepSampler:
         colour = rng.random(3) if self._config.random_background else np.zeros(3)
         layers = int(rng.integers(min(self._min_layers, self._config.layers), self._config.layers + 1))
         sources = [pool[i] for i in drawn]
-        weights = self._source_weights(target, sources)
+        # A target has few different sets of sources, and their weights take longer than the rest of the sample.
+        key = (target, *sources)
+        if key not in self._weights:
+            self._weights[key] = self._source_weights(target, sources)
+        weights = self._weights[key]
         sample = StepSample(frame, target, sources, weights, colour.astype(np.float32), layers)
         if self._config.scene == "object":
             return sample
