@@ -11,14 +11,48 @@ namespace {
 constexpr std::size_t kRowsPerTask = 1024;
 constexpr std::size_t kNumbersPerTask = 16384;
 
+// Calls work(begin, end) for parts of the rows, on all threads.
+template <typename Work>
+void for_parts(const Rows& rows, const Work& work) {
+    Team team(rows.count > kRowsPerTask ? rows.threads : 1);
+    run_parts(team, rows.count, kRowsPerTask, work);
+}
+
 // Calls work(i, rows.at[i]) for all rows.
 template <typename Work>
 void for_rows(const Rows& rows, const Work& work) {
-    Team team(rows.count > kRowsPerTask ? rows.threads : 1);
-    run_parts(team, rows.count, kRowsPerTask, [&](std::size_t begin, std::size_t end) {
+    for_parts(rows, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) work(i, static_cast<std::size_t>(rows.at[i]));
     });
 }
+
+// Adam's bias corrections by the number of updates. The rows of a part have few different numbers, and computing the
+// powers for each row took most of the time of an update.
+class Corrections {
+  public:
+    struct Entry {
+        float step, first, second;
+    };
+
+    explicit Corrections(Betas betas) : betas_(betas) {
+        std::fill_n(entries_, kEntries, Entry{-1.0f, 0.0f, 0.0f});
+    }
+
+    const Entry& at(float step) {
+        const bool is_small = step >= 0.0f && step < 1e6f;
+        Entry& entry = entries_[is_small ? static_cast<int>(step) % kEntries : 0];
+        if (entry.step != step) {
+            entry = {step, 1 - std::pow(betas_.first, step), 1 - std::pow(betas_.second, step)};
+        }
+        return entry;
+    }
+
+  private:
+    static constexpr int kEntries = 256;
+
+    Betas betas_;
+    Entry entries_[kEntries];
+};
 
 // Returns the matte at a pixel position, interpolated bilinearly and continued beyond its border.
 float matte_at(const Silhouette& view, float u, float v) {
@@ -75,19 +109,21 @@ void adam(const std::vector<Dense>& arrays, Betas betas, float epsilon, int thre
 }
 
 void adam_rows(const Rows& rows, float* steps, const std::vector<Sparse>& parameters, Betas betas) {
-    for_rows(rows, [&](std::size_t i, std::size_t row) {
-        const float step = steps[row] += 1.0f;
-        const float first_correction = 1 - std::pow(betas.first, step);
-        const float second_correction = 1 - std::pow(betas.second, step);
-        for (const Sparse& each : parameters) {
-            const float rate = each.rates[each.is_constant ? 0 : i] / first_correction;
-            for (int c = 0; c < each.columns; ++c) {
-                const std::size_t at = row * each.columns + c;
-                const float gradient = finite(each.gradient[i * each.columns + c]);
-                each.first[at] += (1 - betas.first) * (gradient - each.first[at]);
-                each.second[at] += (1 - betas.second) * (gradient * gradient - each.second[at]);
-                const float scale = std::sqrt(each.second[at] / second_correction) + each.epsilon;
-                each.parameter[at] -= rate * each.first[at] / scale;
+    for_parts(rows, [&](std::size_t begin, std::size_t end) {
+        Corrections corrections(betas);
+        for (std::size_t i = begin; i < end; ++i) {
+            const std::size_t row = static_cast<std::size_t>(rows.at[i]);
+            const Corrections::Entry& correction = corrections.at(steps[row] += 1.0f);
+            for (const Sparse& each : parameters) {
+                const float rate = each.rates[each.is_constant ? 0 : i] / correction.first;
+                for (int c = 0; c < each.columns; ++c) {
+                    const std::size_t at = row * each.columns + c;
+                    const float gradient = finite(each.gradient[i * each.columns + c]);
+                    each.first[at] += (1 - betas.first) * (gradient - each.first[at]);
+                    each.second[at] += (1 - betas.second) * (gradient * gradient - each.second[at]);
+                    const float scale = std::sqrt(each.second[at] / correction.second) + each.epsilon;
+                    each.parameter[at] -= rate * each.first[at] / scale;
+                }
             }
         }
     });

@@ -132,7 +132,7 @@ void add_background(const Picture<const float, 3>& rgb, const Array<const float,
 }
 
 double mean_square(const Array<const float, 2>& values, const std::optional<Array<const float, 2>>& truth, int first,
-                   bool clamps, int threads, const std::string& simd,
+                   bool clamps, float upstream, int threads, const std::string& simd,
                    const std::optional<Array<float, 2>>& out_gradient) {
     require(values.shape(1) >= 1 && values.shape(1) <= 0x7fffffff, "values: expected at least one column");
     const int columns = static_cast<int>(values.shape(1));
@@ -145,7 +145,7 @@ double mean_square(const Array<const float, 2>& values, const std::optional<Arra
     const step_images::Execution execution = execution_of(threads, simd);
     nb::gil_scoped_release release;
     return step_images::mean_square({values.shape(0), columns, first}, values.data(), truth ? truth->data() : nullptr,
-                                    clamps, execution, out_gradient ? out_gradient->data() : nullptr);
+                                    clamps, execution, upstream, out_gradient ? out_gradient->data() : nullptr);
 }
 
 }  // namespace
@@ -169,7 +169,7 @@ void bind_step_images(nb::module_& module) {
                nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
                "Sizes: rgb=H,W alpha=H,W background*3 out=H,W");
     module.def("mean_square", &mean_square, nb::arg("values"), nb::arg("truth").none(), nb::arg("first"),
-               nb::arg("clamps"), nb::arg("threads"), nb::arg("simd"), nb::arg("out_gradient").none(),
+               nb::arg("clamps"), nb::arg("upstream"), nb::arg("threads"), nb::arg("simd"), nb::arg("out_gradient").none(),
                "Sizes: values=N,C truth=N,C out_gradient=N,C");
 }
 

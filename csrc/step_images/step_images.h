@@ -69,9 +69,9 @@ struct Table {
 };
 
 // Returns the mean of the squared differences of two tables. `truth` may be null for zeros. With `clamps`, values are
-// clamped to [0, 1] before they are compared. If `gradient` is not null, writes the gradient of the values there, which
-// does not support clamping.
+// clamped to [0, 1] before they are compared. If `gradient` is not null, writes the gradient of the values there, for the
+// gradient `upstream` of the mean. This does not support clamping.
 double mean_square(const Table& table, const float* values, const float* truth, bool clamps, const Execution& execution,
-                   float* gradient);
+                   float upstream, float* gradient);
 
 }  // namespace fourd::step_images

@@ -87,8 +87,8 @@ void add_background(std::size_t count, const float* rgb, const float* alpha, con
 FOURD_INLINE float clamp01(float value) { return value < 0.0f ? 0.0f : value > 1.0f ? 1.0f : value; }
 
 // Adds the squares of `count` <= kLanes differences to `sums`, one in each lane. The first `skipped` do not count.
-FOURD_INLINE void add_squares(int count, int skipped, const float* values, const float* truth, bool clamps, float scale,
-                              float* gradient, float* sums) {
+FOURD_INLINE void add_squares(int count, int skipped, const float* values, const float* truth, bool clamps,
+                              const Factors& factors, float* gradient, float* sums) {
     float difference[kLanes];
     for (int i = 0; i < count; ++i) difference[i] = values[i];
     if (clamps) {
@@ -100,12 +100,12 @@ FOURD_INLINE void add_squares(int count, int skipped, const float* values, const
     for (int i = 0; i < count; ++i) difference[i] = i < skipped ? 0.0f : difference[i];
     for (int i = 0; i < count; ++i) sums[i] += difference[i] * difference[i];
     if (gradient) {
-        for (int i = 0; i < count; ++i) gradient[i] = scale * difference[i];
+        for (int i = 0; i < count; ++i) gradient[i] = factors.scale * difference[i] * factors.upstream;
     }
 }
 
-double sum_squares(const Table& table, const float* values, const float* truth, bool clamps, float scale,
-                   float* gradient) {
+double sum_squares(const Table& table, const float* values, const float* truth, bool clamps,
+                   const Factors& factors, float* gradient) {
     float sums[kLanes] = {};
     for (std::size_t row = 0; row < table.rows; ++row) {
         for (int column = 0; column < table.columns; column += kLanes) {
@@ -114,9 +114,9 @@ double sum_squares(const Table& table, const float* values, const float* truth, 
             const float* other = truth ? truth + at : nullptr;
             float* to = gradient ? gradient + at : nullptr;
             if (left >= kLanes) {
-                add_squares(kLanes, skipped, values + at, other, clamps, scale, to, sums);
+                add_squares(kLanes, skipped, values + at, other, clamps, factors, to, sums);
             } else {
-                add_squares(left, skipped, values + at, other, clamps, scale, to, sums);
+                add_squares(left, skipped, values + at, other, clamps, factors, to, sums);
             }
         }
     }

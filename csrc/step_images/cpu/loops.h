@@ -9,6 +9,11 @@
 
 namespace fourd::step_images {
 
+// The gradient of a mean square is (scale * difference) * upstream, in this order.
+struct Factors {
+    float scale, upstream;
+};
+
 struct Loops {
     // Converts `width` pixels to three planes that are `plane` floats apart, and their matte.
     void (*convert_row)(const std::uint8_t* rgb, const std::uint8_t* matte, int width, float* out,
@@ -22,10 +27,10 @@ struct Loops {
                                  float* out_features, float* out_alpha);
     void (*add_background)(std::size_t count, const float* rgb, const float* alpha, const float* background,
                            float* out);
-    // Returns the sum of squared differences. Writes `scale` times the differences, and zeros in columns that do not
-    // count, to `gradient` if it is not null.
-    double (*sum_squares)(const Table& table, const float* values, const float* truth, bool clamps, float scale,
-                          float* gradient);
+    // Returns the sum of squared differences. Writes the differences times both factors, and zeros in columns that do
+    // not count, to `gradient` if it is not null.
+    double (*sum_squares)(const Table& table, const float* values, const float* truth, bool clamps,
+                          const Factors& factors, float* gradient);
 };
 
 FOURD_DISPATCH(Loops, Simd::avx2)

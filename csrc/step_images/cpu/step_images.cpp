@@ -86,7 +86,7 @@ void add_background(std::size_t count, const float* rgb, const float* alpha, con
 }
 
 double mean_square(const Table& table, const float* values, const float* truth, bool clamps, const Execution& execution,
-                   float* gradient) {
+                   float upstream, float* gradient) {
     const Loops& loops = select_loops(execution.simd);
     const std::size_t numbers = table.rows * static_cast<std::size_t>(table.columns - table.first);
     const float scale = numbers > 0 ? 2.0f / static_cast<float>(numbers) : 0.0f;
@@ -100,7 +100,7 @@ double mean_square(const Table& table, const float* values, const float* truth, 
         const std::size_t at = begin * columns;
         const Table part = table.first == 0 ? Table{1, static_cast<int>(end - begin), 0}
                                             : Table{end - begin, table.columns, table.first};
-        sums[begin / per_part] = loops.sum_squares(part, values + at, truth ? truth + at : nullptr, clamps, scale,
+        sums[begin / per_part] = loops.sum_squares(part, values + at, truth ? truth + at : nullptr, clamps, {scale, upstream},
                                                    gradient ? gradient + at : nullptr);
     });
     double total = 0.0;

@@ -99,7 +99,7 @@ inline void run_step_images(unsigned seed, const char* simd) {
                          {colour.data(), last.data(), prediction.data()});
     const step_images::Table table{pixels, 3, random_int(random, 0, 2)};
     step_images::mean_square(table, prediction.data(), seed % 3 ? truth.data() : nullptr, false, execution,
-                             gradient.data());
+                             0.5f, gradient.data());
     step_images::resolve_backward(grid, {seed % 4 ? colour.data() : nullptr, last.data(), gradient.data()}, background,
                                   execution, features.data(), alpha.data());
     expect_finite(images, "converted views", seed);

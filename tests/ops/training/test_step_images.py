@@ -121,4 +121,4 @@ def test_operators_pass_opcheck(rng: np.random.Generator) -> None:
     """Catches a fake implementation that returns wrong shapes, and an operator schema that omits a mutated argument."""
     features, alpha = floats(rng, 6, 8, 4).requires_grad_(), floats(rng, 6, 8).requires_grad_()
     torch.library.opcheck(torch.ops.fourd.resolve_samples.default, (features, alpha, [0.1, 0.2, 0.3], 2))
-    torch.library.opcheck(torch.ops.fourd.mean_square.default, (features, floats(rng, 6, 8, 4), 1, True))
+    torch.library.opcheck(torch.ops.fourd.mean_square.default, (features, floats(rng, 6, 8, 4), 1))

@@ -92,7 +92,7 @@ def mean_square(values: Tensor, truth: Tensor | None = None, first: int = 0) -> 
     """Compute the mean of the squared differences of two tensors (..., C), or of the squared values if ``truth`` is
     None. The components before ``first`` of the last axis do not count.
 
-    If ``truth`` requires no gradient, the kernel computes value and gradient together.
+    The kernel is used only if ``truth`` requires no gradient.
 
     Returns:
         a scalar, differentiable in ``values`` and ``truth``.
@@ -100,7 +100,7 @@ def mean_square(values: Tensor, truth: Tensor | None = None, first: int = 0) -> 
     tensors = (values,) if truth is None else (values, truth)
     if not _has_kernel(*tensors) or (truth is not None and (truth.requires_grad or truth.shape != values.shape)):
         return mean_square_reference(values, truth, first)
-    return _mean_square(values, truth, first, values.requires_grad and torch.is_grad_enabled())[0]
+    return _mean_square(values, truth, first)
 
 
 def clamped_error(values: Tensor, truth: Tensor) -> float:
@@ -110,7 +110,7 @@ def clamped_error(values: Tensor, truth: Tensor) -> float:
     if not _has_kernel(values, truth) or values.shape != truth.shape:
         return float((values.clamp(0, 1) - truth).square().mean())
     arrays = (_rows(values), _rows(truth))
-    return float(load_native().mean_square(*arrays, 0, True, *_execution(), None))
+    return float(load_native().mean_square(*arrays, 0, True, 1.0, *_execution(), None))
 
 
 def _execution() -> tuple[int, str]:
@@ -184,31 +184,33 @@ def _backward_resolve(
 _resolve.register_autograd(_backward_resolve, setup_context=_setup_resolve)
 
 
-def _empty_square(values: Tensor, with_gradient: bool) -> tuple[Tensor, Tensor]:
-    return uninitialised(values), uninitialised(values, *(values.shape if with_gradient else (0,)))
-
-
-@operator("fourd::mean_square", outputs=_empty_square, devices=("cpu",))
-def _mean_square(values: Tensor, truth: Tensor | None, first: int, with_gradient: bool) -> tuple[Tensor, Tensor]:
-    """Return the mean and its gradient with respect to the values. The gradient is an empty tensor if
-    ``with_gradient`` is False."""
-    value, gradient = _empty_square(values, with_gradient)
+@operator("fourd::mean_square", outputs=lambda values: uninitialised(values), devices=("cpu",))
+def _mean_square(values: Tensor, truth: Tensor | None, first: int) -> Tensor:
+    value = uninitialised(values)
     arrays = (_rows(values), None if truth is None else _rows(truth))
-    out = _rows(gradient) if with_gradient else None
-    as_array(value)[...] = load_native().mean_square(*arrays, first, False, *_execution(), out)
-    return value, gradient
+    as_array(value)[...] = load_native().mean_square(*arrays, first, False, 1.0, *_execution(), None)
+    return value
 
 
-def _setup_square(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
-    ctx.set_materialize_grads(False)
-    ctx.save_for_backward(output[1])
+@operator("fourd::mean_square_backward", outputs=lambda values: uninitialised(values, *values.shape), devices=("cpu",))
+def _square_backward(values: Tensor, truth: Tensor | None, first: int, gradient: Tensor) -> Tensor:
+    """Compute the gradient of the values. The forward pass does not, because it would need memory of the size of the
+    values until then."""
+    out = uninitialised(values, *values.shape)
+    arrays = (_rows(values), None if truth is None else _rows(truth))
+    upstream = float(as_array(gradient))
+    load_native().mean_square(*arrays, first, False, upstream, *_execution(), _rows(out))
+    return out
 
 
-def _backward_square(
-    ctx: Any, grad_value: Tensor | None, grad_gradient: Tensor | None
-) -> tuple[Tensor | None, None, None, None]:
-    (gradient,) = ctx.saved_tensors
-    return (None if grad_value is None else grad_value * gradient), None, None, None
+def _setup_square(ctx: Any, inputs: tuple[Tensor, Tensor | None, int], output: Tensor) -> None:
+    values, truth, ctx.first = inputs
+    ctx.save_for_backward(values, truth)
+
+
+def _backward_square(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
+    values, truth = ctx.saved_tensors
+    return _square_backward(values, truth, ctx.first, gradient), None, None
 
 
 _mean_square.register_autograd(_backward_square, setup_context=_setup_square)
