@@ -27,12 +27,12 @@ from fourd.viewer.navigation.preferences import Preferences, PreferencesFile
 from fourd.viewer.navigation.recorded_path import PathRecorder, PathSample, RecordedPath
 from fourd.viewer.navigation.saved_views import SavedViews, default_file
 from fourd.viewer.output.png import with_alpha, write_png
-from fourd.viewer.output.window_video import Cancelled, VideoPlan, plan_recorded, plan_turntable, render_images
 from fourd.viewer.rendering.renderer_name import RendererName
 from fourd.viewer.session import Session
 from fourd.viewer.timings import Timings
 from fourd.viewer.window import Window
 from fourd.viewer.window_renderer import WindowRenderer
+from fourd.viewer.window_video.rendering import Cancelled, VideoPlan, plan_recorded, plan_turntable, render_images
 
 
 class ViewerState:

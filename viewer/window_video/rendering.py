@@ -14,10 +14,10 @@ from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.navigation.paths import camera_path
 from fourd.viewer.navigation.recorded_path import RecordedPath
-from fourd.viewer.progress_window import draw_progress
 from fourd.viewer.session import Session
 from fourd.viewer.window import Window
 from fourd.viewer.window_renderer import WindowRenderer
+from fourd.viewer.window_video.progress_window import draw_progress
 
 _TURNTABLE_SECONDS = 6.0
 """Least duration of a turntable. A faster turn is unpleasant to watch."""

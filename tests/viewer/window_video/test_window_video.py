@@ -10,8 +10,8 @@ import pytest
 
 from fourd.viewer.display import DisplaySettings
 from fourd.viewer.loaded_scene import LoadedScene
-from fourd.viewer.output.window_video import plan_turntable
 from fourd.viewer.session import Session
+from fourd.viewer.window_video.rendering import plan_turntable
 from tests.baking.scenes import manifest
 
 

@@ -1,0 +1,1 @@
+"""Videos that are rendered in the window, which shows the progress."""
