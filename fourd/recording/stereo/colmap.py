@@ -28,6 +28,12 @@ MIN_CONTRAST = 0.003
 recorded ring of 20 cameras needs weak features. This also gives more wrong matches, but they lie off the epipolar lines
 and are rejected."""
 
+MIN_AFFINE_SIDE_PX = 16
+"""Minimum length of an image's shorter side in pixels for affine-covariant features. COLMAP's detector of these features
+crashes the process on smaller images."""
+COLMAP_SIDE_PX = 3200
+"""COLMAP's default for the maximum length of an image's longer side in pixels."""
+
 
 @dataclass(frozen=True)
 class Extraction:
@@ -49,6 +55,24 @@ class Extraction:
     domain_size_pooling: bool = False
     max_side_px: int | None = None
     batch: bool = False
+
+    def reduced_side(self, height: int, width: int) -> float:
+        """Return the length in pixels of the shorter side of the image in which features are detected."""
+        scale = min(1.0, (self.max_side_px or COLMAP_SIDE_PX) / max(height, width))
+        return scale * min(height, width)
+
+    def options(self, *, is_affine: bool) -> Any:
+        """Return pycolmap's options, with or without affine-covariant features."""
+        options = pycolmap.FeatureExtractionOptions(use_gpu=False)
+        # Neighbouring cameras in a typical ring are at least 18 degrees apart. At such angles, only affine-covariant
+        # features match.
+        options.sift.estimate_affine_shape = is_affine
+        options.sift.domain_size_pooling = is_affine and self.domain_size_pooling
+        options.sift.peak_threshold = MIN_CONTRAST
+        options.sift.max_num_features = MAX_FEATURES
+        if self.max_side_px is not None:
+            options.max_image_size = self.max_side_px
+        return options
 
 
 KNOWN_CAMERAS = Extraction(max_side_px=1600, batch=True)
@@ -89,16 +113,9 @@ class Workspace:
         if masks is not None:
             reader.mask_path = self.folder / "masks"
             _write_images(self.folder / "masks", [f"{name}.png" for name in names], masks)
-        extraction = pycolmap.FeatureExtractionOptions(use_gpu=False)
-        # Neighbouring cameras in a typical ring are at least 18 degrees apart. At such angles, only affine-covariant
-        # features match.
-        extraction.sift.estimate_affine_shape = True
-        extraction.sift.domain_size_pooling = settings.domain_size_pooling
-        extraction.sift.peak_threshold = MIN_CONTRAST
-        extraction.sift.max_num_features = MAX_FEATURES
-        if settings.max_side_px is not None:
-            extraction.max_image_size = settings.max_side_px
         mode = pycolmap.CameraMode.SINGLE if settings.is_camera_shared else pycolmap.CameraMode.PER_IMAGE
+        smallest = min((settings.reduced_side(*picture.shape[:2]) for picture in pictures), default=0)
+        extraction = settings.options(is_affine=smallest >= MIN_AFFINE_SIDE_PX)
         size = core_count() if settings.batch else len(names)
         batches = [names[begin : begin + size] for begin in range(0, len(names), size)]
         for some in track(batches, len(batches), "features"):
