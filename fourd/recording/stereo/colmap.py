@@ -29,8 +29,8 @@ recorded ring of 20 cameras needs weak features. This also gives more wrong matc
 and are rejected."""
 
 MIN_AFFINE_SIDE_PX = 16
-"""Minimum length of an image's shorter side in pixels for affine-covariant features. COLMAP's detector of these features
-crashes the process on smaller images."""
+"""Minimum length of an image's shorter side in pixels for affine-covariant features. On smaller images, COLMAP's
+detector of these features crashes, and with it the process."""
 COLMAP_SIDE_PX = 3200
 """COLMAP's default for the maximum length of an image's longer side in pixels."""
 
