@@ -61,8 +61,8 @@ demo: install
 	$(BIN)/python tools/demo.py
 
 # Tests run in WORKERS processes, of which each uses one thread. All tests of a file run in the same process, because they
-# share fixtures.
-WORKERS ?= $(shell $(PYTHON) -c "import os; print(min(4, os.cpu_count() or 1))")
+# share fixtures. There is one process more than cores, because some tests wait for browsers, windows and servers.
+WORKERS ?= $(shell $(PYTHON) -c "import os; print(min(4, os.cpu_count() or 1) + 1)")
 test: install
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist loadfile --max-worker-restart 0
 
