@@ -40,6 +40,9 @@ COMMANDS = {
 }
 """The module of each command, relative to :mod:`fourd.cli`."""
 
+TORCH_COMMANDS = ("make", "mesh", "train", "eval", "export", "bench")
+"""The commands that import torch whatever their arguments are."""
+
 FILE_ERRORS = (
     errno.ENOSPC,
     errno.EDQUOT,
@@ -269,6 +272,7 @@ def _run(command: str, words: list[str]) -> int:
     import tyro
 
     from fourd.cli.help import help_form, rare_options
+    from fourd.cli.loading import load_package
     from fourd.cli.locations import refuse_urls
     from fourd.cli.outputs import refuse_overwriting
     from fourd.cli.usage import one_line_of_usage
@@ -297,6 +301,8 @@ def _run(command: str, words: list[str]) -> int:
         )
     refuse_urls(arguments, words)
     refuse_overwriting(arguments)
+    if command in TORCH_COMMANDS and rank_count() == 1:
+        load_package("torch")
     code = module.run(arguments)
     return 0 if code is None else int(code)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from fourd.cli.loading import load_package
 from fourd.cli.main import COMMANDS
 from fourd.recording.import_choices import FORMAT_NAMES
 from fourd.recording.importing.detection import FORMATS
@@ -57,3 +59,37 @@ def test_the_version_imports_neither_tyro_nor_rich() -> None:
 def test_the_listed_formats_are_those_of_the_importer() -> None:
     """A new importer was missing in ``fourd import --help``, whose list of names does not import the importers."""
     assert tuple(each.name for each in FORMATS) == FORMAT_NAMES
+
+
+class Screen(io.StringIO):
+    """The text that was sent to a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def slow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The name of a package that is not imported."""
+    (tmp_path / "slow_package.py").write_text("import sys\nsys.stderr.write('(importing)')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "slow_package", raising=False)
+    return "slow_package"
+
+
+def test_a_terminal_shows_what_is_loaded(slow: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches seconds without a word, and a line that stays."""
+    monkeypatch.setattr(sys, "stderr", screen := Screen())
+    load_package(slow)
+    assert screen.getvalue() == f"loading slow_package\r(importing){' ' * 20}\r"
+    load_package(slow)
+    assert screen.getvalue().count("loading") == 1
+    monkeypatch.delitem(sys.modules, slow)
+
+
+def test_a_log_shows_nothing(slow: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a line in the log of a batch job, and an import that the command may not need."""
+    monkeypatch.setattr(sys, "stderr", log := io.StringIO())
+    load_package(slow)
+    assert log.getvalue() == ""
+    assert slow not in sys.modules
