@@ -22,6 +22,8 @@ from tests.captures import write_ball_capture
 from tests.processes.shared import shared_parsers
 
 SEED = "FOURD_TEST_SEED"
+LONG = ("viewer", "faults", "board_calibration", "pipeline", "cli", "training", "storage", "examples", "matting")
+"""Folders whose files take up to a minute. They are tested first, so that the processes end at the same time."""
 
 
 def pytest_configure() -> None:
@@ -35,6 +37,16 @@ def pytest_configure() -> None:
     os.environ.setdefault(SEED, str(secrets.randbits(32)))
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: _place(item.path))
+
+
+def _place(file: Path) -> int:
+    """Return the place of a file's folder in LONG. All other files come after them."""
+    folder = file.relative_to(Path(__file__).parent).parts[0]
+    return LONG.index(folder) if folder in LONG else len(LONG)
 
 
 def pytest_collection_finish() -> None:
