@@ -65,4 +65,5 @@ def _step(run: Run, config: TrainConfig, learning: bool) -> Work:
     sample = trainer.sampler.sample(1)
     points = trainer.frames.get(sample.frame)
     number = 0 if learning else 1
-    return lambda: trainer.stepper.step(points, 0.0, sample, 1e-6, None, number)
+    scene = trainer.scene
+    return lambda: trainer.stepper.step(points, 0.0, sample, 1e-6, scene.prepare(points, sample), number)

@@ -5,26 +5,23 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any
 
 from safetensors import safe_open
 
 from fourd.base.files import UNFINISHED
 from tests.captures import write_ball_capture
+from tests.faults.command_process import Job, run_job
 from tests.faults.operations import Mode
+from tests.processes.forked import start
 
 TIMES = ("metrics.jsonl", "events.out.tfevents")
 """Files whose names start with these texts contain times."""
 STATE_TIMES = ("session", "seconds", "updated")
 """Fields of a training's state that contain times or the name of one session."""
 EXPORTED = ".export"
-REPOSITORY = Path(__file__).parents[2]
 SMALL = (
     "points=200",
     "layers=4",
@@ -77,31 +74,13 @@ class Outcome:
     operations: list[str]
 
 
-class Zygote:
-    """Runs each command in a new process. All processes are forked from one process that has imported all modules."""
+class Runner:
+    """Runs each command in a process of its own. The files of a runner's commands are in ``folder``, so that commands
+    of two runners can run at the same time."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.faults.zygote"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            cwd=REPOSITORY,
-            env=os.environ | {"OMP_NUM_THREADS": "1", "FOURD_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"},
-        )
-        assert self._process.stdout is not None
-        assert self._process.stdout.readline() == "ready\n"
-
-    def __enter__(self) -> Zygote:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        self._process.wait()
+        start(int).join()  # from now on, the first command starts as quickly as the others
 
     def run(
         self, command: Command, root: Path, mode: Mode = "count", at: int = -1, signal: int = 0, seconds: float = 0.0
@@ -113,17 +92,18 @@ class Zygote:
             words.append("--resume")
         words = [str(root / word) if _is_path(word) else word for word in words]
         log, operations = self._folder / "log", self._folder / "operations"
-        operations.unlink(missing_ok=True)
-        job: dict[str, Any] = {"words": words, "root": str(root), "mode": mode, "at": at}
-        job |= {"signal": signal, "seconds": seconds}
-        job |= {"log": str(log), "operations": str(operations)}
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps(job) + "\n")
-        self._process.stdin.flush()
-        status = json.loads(self._process.stdout.readline())["status"]
+        for file in (log, operations):
+            file.unlink(missing_ok=True)
+        process = start(run_job, Job(tuple(words), root, mode, at, log, operations))
+        if signal:
+            process.join(seconds)
+            if process.is_alive() and process.pid is not None:
+                os.kill(process.pid, signal)
+        process.join()
+        assert process.exitcode is not None
+        text = log.read_text(encoding="utf-8") if log.exists() else ""  # it may be killed before it opens the log
         done = json.loads(operations.read_text()) if operations.exists() else []
-        return Outcome(os.waitstatus_to_exitcode(status), log.read_text(encoding="utf-8"), done)
+        return Outcome(process.exitcode, text, done)
 
 
 def _is_path(word: str) -> bool:

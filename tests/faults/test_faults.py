@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from tests.faults.chain import (
     MAKE,
     Command,
     Outcome,
-    Zygote,
+    Runner,
     contents,
     leftovers,
     partial_files,
@@ -71,27 +70,27 @@ class Stage:
 
 @dataclass(frozen=True)
 class Chain:
-    """All commands, and a process that runs them in the folder ``root``."""
+    """All commands, and what runs them in the folder ``root``."""
 
-    zygote: Zygote
+    runner: Runner
     root: Path
     stages: tuple[Stage, ...]
 
 
 @pytest.fixture(scope="module")
-def chain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chain]:
+def chain(tmp_path_factory: pytest.TempPathFactory) -> Chain:
     folder = tmp_path_factory.mktemp("faults").resolve()
     root, stages = folder / "work", []
     write_source(root)
-    with Zygote(folder) as zygote:
-        for number, command in enumerate(COMMANDS):
-            before = folder / f"before {number}"
-            shutil.copytree(root, before, symlinks=True)
-            outcome = zygote.run(command, root)
-            assert outcome.code == 0, outcome.text
-            assert leftovers(root) == []
-            stages.append(Stage(command, before, contents(root), outcome.operations))
-        yield Chain(zygote, root, tuple(stages))
+    runner = Runner(folder)
+    for number, command in enumerate(COMMANDS):
+        before = folder / f"before {number}"
+        shutil.copytree(root, before, symlinks=True)
+        outcome = runner.run(command, root)
+        assert outcome.code == 0, outcome.text
+        assert leftovers(root) == []
+        stages.append(Stage(command, before, contents(root), outcome.operations))
+    return Chain(runner, root, tuple(stages))
 
 
 def find_fault(chain: Chain, stage: Stage, mode: Mode, at: int) -> str:
@@ -100,14 +99,14 @@ def find_fault(chain: Chain, stage: Stage, mode: Mode, at: int) -> str:
     """
     restore(stage.before, chain.root)
     before = contents(chain.root)
-    failed = chain.zygote.run(stage.command, chain.root, mode, at)
+    failed = chain.runner.run(stage.command, chain.root, mode, at)
     message = _wrong_message(stage.command, mode, failed)
     if message:
         return message
     partial = list(partial_files(chain.root, before, stage.after))
     if partial:
         return f"neither old nor new: {partial}"
-    again = chain.zygote.run(stage.command, chain.root)
+    again = chain.runner.run(stage.command, chain.root)
     if again.code != 0:
         return f"the next run ends with {again.code}: {again.text[-300:]}"
     if leftovers(chain.root):
@@ -170,10 +169,10 @@ def test_every_fault_loses_nothing(chain: Chain) -> None:
     run_faults(chain, faults)
 
 
-def run_two(chain: Chain, other: Zygote, command: Command, delay: float) -> str:
+def run_two(chain: Chain, other: Runner, command: Command, delay: float) -> str:
     """Run a command, and the same command ``delay`` seconds later. Returns a description of what is wrong."""
     with ThreadPoolExecutor() as pool:
-        first = pool.submit(chain.zygote.run, command, chain.root)
+        first = pool.submit(chain.runner.run, command, chain.root)
         time.sleep(delay)
         second = pool.submit(other.run, command, chain.root)
         outcomes = [first.result(), second.result()]
@@ -189,16 +188,16 @@ def run_two(chain: Chain, other: Zygote, command: Command, delay: float) -> str:
 def test_two_commands_at_once_lose_nothing(chain: Chain, tmp_path: Path, rng: np.random.Generator) -> None:
     """Catches commands that use each other's unfinished files, and a second command that ends with a traceback."""
     wrong = []
-    with Zygote(tmp_path) as other:
-        for stage in chain.stages * PAIRS:
-            restore(stage.before, chain.root)
-            fault = run_two(chain, other, stage.command, float(rng.uniform(0, MAX_DELAY)))
-            is_same = contents(chain.root) == stage.after
-            if fault or not is_same:
-                wrong.append(f"{stage.command.name}: {fault or 'other contents than of one command'}")
-        (chain.root / "source" / "given").rename(chain.root / "source" / "masks")  # for MAKE
-        for command in READERS * PAIRS:
-            fault = run_two(chain, other, command, float(rng.uniform(0, MAX_DELAY)))
-            if fault:
-                wrong.append(f"{command.name}: {fault}")
+    other = Runner(tmp_path)
+    for stage in chain.stages * PAIRS:
+        restore(stage.before, chain.root)
+        fault = run_two(chain, other, stage.command, float(rng.uniform(0, MAX_DELAY)))
+        is_same = contents(chain.root) == stage.after
+        if fault or not is_same:
+            wrong.append(f"{stage.command.name}: {fault or 'other contents than of one command'}")
+    (chain.root / "source" / "given").rename(chain.root / "source" / "masks")  # for MAKE
+    for command in READERS * PAIRS:
+        fault = run_two(chain, other, command, float(rng.uniform(0, MAX_DELAY)))
+        if fault:
+            wrong.append(f"{command.name}: {fault}")
     assert not wrong, "\n".join(wrong)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.captures import write_ball_capture
-from tests.faults.chain import MAKE, Zygote, leftovers, restore
+from tests.faults.chain import MAKE, Runner, leftovers, restore
 
 QUICK, SLOW = 2, 100
 CODES = {signal.SIGKILL: (-9, 0), signal.SIGINT: (130, 0)}
@@ -24,21 +24,21 @@ def run_kills(tmp_path: Path, rng: np.random.Generator, count: int) -> None:
     root, before = tmp_path / "work", tmp_path / "before"
     write_ball_capture(root / "source", cameras=3, frames=1, size=48)
     restore(root, before)
-    with Zygote(tmp_path) as zygote:
-        start = time.monotonic()
-        assert zygote.run(MAKE, root).code == 0
-        seconds = time.monotonic() - start
-        scene = (root / "out" / "scene.4dv").read_bytes()
-        for number in range(2 * count):
-            kind = signal.SIGKILL if number % 2 else signal.SIGINT
-            restore(before, root)
-            killed = zygote.run(MAKE, root, signal=kind, seconds=float(rng.uniform(0.05, seconds)))
-            assert killed.code in CODES[kind], killed.text
-            assert "Traceback" not in killed.text, killed.text
-            again = zygote.run(MAKE, root)
-            assert again.code == 0, again.text
-            assert (root / "out" / "scene.4dv").read_bytes() == scene
-            assert leftovers(root) == []
+    runner = Runner(tmp_path)
+    start = time.monotonic()
+    assert runner.run(MAKE, root).code == 0
+    seconds = time.monotonic() - start
+    scene = (root / "out" / "scene.4dv").read_bytes()
+    for number in range(2 * count):
+        kind = signal.SIGKILL if number % 2 else signal.SIGINT
+        restore(before, root)
+        killed = runner.run(MAKE, root, signal=kind, seconds=float(rng.uniform(0.05, seconds)))
+        assert killed.code in CODES[kind], killed.text
+        assert "Traceback" not in killed.text, killed.text
+        again = runner.run(MAKE, root)
+        assert again.code == 0, again.text
+        assert (root / "out" / "scene.4dv").read_bytes() == scene
+        assert leftovers(root) == []
 
 
 def test_killed_commands_end_with_the_same_scene(tmp_path: Path, rng: np.random.Generator) -> None:

@@ -23,7 +23,7 @@ import pytest
 
 from fourd.base.progress import untracked
 from fourd.recording.synth.board_videos import BoardSettings, make_board_videos
-from tests.faults.chain import COMMANDS, Zygote, contents, leftovers, write_source
+from tests.faults.chain import COMMANDS, Runner, contents, leftovers, write_source
 
 PAIRS = 4
 """Number of times that two calls of each command run at the same time."""
@@ -54,10 +54,10 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pairs").resolve()
     root = folder / "work"
     write_source(root)
-    with Zygote(folder) as zygote:
-        for command in COMMANDS:
-            outcome = zygote.run(command, root)
-            assert outcome.code == 0, outcome.text
+    runner = Runner(folder)
+    for command in COMMANDS:
+        outcome = runner.run(command, root)
+        assert outcome.code == 0, outcome.text
     make_board_videos(root / "videos", BoardSettings(frames=24, cameras=3, size=400), untracked)
     return root
 

@@ -12,13 +12,24 @@ import os
 import runpy
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Any
 
 import torch
 
 MAX_SECONDS = 300.0
 """Time in seconds after which a command counts as hanging."""
+
+
+def start(function: Callable[..., Any], *arguments: Any) -> BaseProcess:
+    """Call a function of a module with arguments that can be pickled, in a process of its own."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["tests.processes.preloaded"])
+    process = context.Process(target=function, args=arguments)
+    process.start()
+    return process
 
 
 def run_together(
@@ -31,14 +42,10 @@ def run_together(
         folder: folder for the commands' output.
         variables: additional environment variables of each command.
     """
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["tests.processes.preloaded"])
     processes = []
     for number, command in enumerate(commands):
-        more = dict(variables[number]) if variables else {}
-        process = context.Process(target=_run, args=(list(command), {**os.environ, **more}, folder / f"log {number}"))
-        process.start()
-        processes.append(process)
+        more = variables[number] if variables else {}
+        processes.append(start(_run, list(command), {**os.environ, **more}, folder / f"log {number}"))
     results = []
     for number, (command, process) in enumerate(zip(commands, processes, strict=True)):
         process.join(MAX_SECONDS)
@@ -53,10 +60,7 @@ def run_together(
 def _run(command: list[str], environment: dict[str, str], log: Path) -> None:
     os.environ.clear()
     os.environ.update(environment)
-    for stream, end in ((1, ".out"), (2, ".err")):
-        os.dup2(os.open(log.with_suffix(end), os.O_WRONLY | os.O_CREAT | os.O_TRUNC), stream)
-    sys.stdout = os.fdopen(1, "w", encoding="utf-8", closefd=False)
-    sys.stderr = os.fdopen(2, "w", encoding="utf-8", closefd=False)
+    redirect(log.with_suffix(".out"), log.with_suffix(".err"))
     torch.set_num_threads(1)
     sys.argv = command
     try:
@@ -65,3 +69,12 @@ def _run(command: list[str], environment: dict[str, str], log: Path) -> None:
         atexit._run_exitfuncs()  # multiprocessing does not call them
         sys.stdout.flush()
         sys.stderr.flush()
+
+
+def redirect(output: Path, errors: Path) -> None:
+    """Send this process's output and errors to files, also those of C++ libraries. The files may be the same."""
+    target = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    os.dup2(target, 1)
+    os.dup2(target if errors == output else os.open(errors, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 2)
+    sys.stdout = os.fdopen(1, "w", encoding="utf-8", closefd=False)
+    sys.stderr = os.fdopen(2, "w", encoding="utf-8", closefd=False)

@@ -85,7 +85,7 @@ class Stepper:
         time: float,
         sample: StepSample,
         rate_factor: float,
-        prepared: PreparedStep | None,
+        prepared: PreparedStep,
         number: int,
     ) -> StepResult:
         """Perform one training step.
@@ -95,14 +95,12 @@ class Stepper:
             time: time of the frame, in [0, 1].
             sample: the frame and views to render.
             rate_factor: factor from the schedule that multiplies all learning rates.
-            prepared: what the scene has prepared for this step. If it is None, the step is prepared now.
+            prepared: what the scene has prepared for this step.
             number: number of the update, for schedules and error messages. One update consists of one step per rank.
 
         Raises:
             UserError: a loss term is not finite. Models and points are unchanged in this case.
         """
-        if prepared is None:
-            prepared = self.scene.prepare(points, sample)
         target = prepared.target
         evaluated = self.scene.evaluate_step(points, time, sample, prepared, number)
         colour, rendered = self._render(evaluated, target, time, sample, number)

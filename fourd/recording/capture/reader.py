@@ -236,7 +236,8 @@ def open_capture(
         views: names of the cameras to use, or None for all cameras.
         frames: frame range ``A:B[:S]`` of indices in the sorted list of frames, or None for all frames.
         scale: factor in (0, 4] by which images are resized.
-        cache_mb, cache_frames: size of the cache of decoded images: MiB, plus frames with one image per camera.
+        cache_mb: size of the cache of decoded images in MiB.
+        cache_frames: number of frames, with one image per camera, that the cache can hold in addition to ``cache_mb``.
         mattes: whether to open mattes. A camera needs none, or needs them for all selected frames.
         partial_mattes: whether generated mattes that lack some of the selected frames count as no mattes.
 
@@ -264,15 +265,23 @@ def open_capture(
         chosen = [all_frames[number] for number in selected]
         footage = [_open_video(videos[name], selected) for name in names]
     if mattes:
-        own = open_masks(path, all_frames)
-        footage = [
-            replace(of, mattes=open_mattes(path, name, of.images, own, chosen, partial_mattes))
-            for name, of in zip(names, footage, strict=True)
-        ]
+        footage = _with_mattes(path, names, footage, all_frames, chosen, partial_mattes)
     cameras = [_to_camera(path, name, calibrations[name], of) for name, of in zip(names, footage, strict=True)]
     fps, count = None if rate is None else float(rate / selected.step), len(all_frames)
-    rest = list(selected), count, scale, cache_mb, cache_frames, fps, report.metres_per_unit
-    return Capture(path, names, cameras, footage, chosen, *rest)
+    unit, indices = report.metres_per_unit, list(selected)
+    return Capture(path, names, cameras, footage, chosen, indices, count, scale, cache_mb, cache_frames, fps, unit)
+
+
+def _with_mattes(
+    path: Path, names: Sequence[str], footage: Sequence[Footage], frames: list[str], chosen: list[str], partial: bool
+) -> list[Footage]:
+    """Add the mattes of the frames ``chosen`` to the footage of each camera. ``frames`` are all frames of the capture.
+    If ``partial`` is true, generated mattes that lack some of the frames count as no mattes."""
+    own = open_masks(path, frames)
+    return [
+        replace(of, mattes=open_mattes(path, name, of.images, own, chosen, partial))
+        for name, of in zip(names, footage, strict=True)
+    ]
 
 
 def _list_video_frames(path: Path, videos: Mapping[str, Video]) -> list[str]:
