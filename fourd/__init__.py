@@ -15,11 +15,11 @@ Importing this package loads neither native modules nor torch. The names in ``__
 from typing import TYPE_CHECKING
 
 from fourd.base.lazy import lazy_names
-from fourd.base.version import __version__
 
 if TYPE_CHECKING:
     from fourd.base.cameras import Camera, look_at
     from fourd.base.errors import UserError
+    from fourd.base.version import __version__
     from fourd.pipeline.library import make, train
     from fourd.reconstruction.training.config import TrainConfig
     from fourd.reconstruction.training.run import open_run
@@ -56,6 +56,7 @@ __getattr__, __dir__ = lazy_names(
         "Player": "scene.player",
         "TrainConfig": "reconstruction.training.config",
         "UserError": "base.errors",
+        "__version__": "base.version",
         "look_at": "base.cameras",
         "make": "pipeline.library",
         "open_capture": "recording.capture",

@@ -13,7 +13,6 @@ from fourd.base.errors import UserError, command_line
 from fourd.base.processes import locked_folder
 from fourd.base.progress import Terminal
 from fourd.base.storage import StorageUrl
-from fourd.base.version import __version__
 from fourd.cli.help import RARE
 from fourd.cli.locations import CaptureLocation
 from fourd.cli.options import Workers, worker_count
@@ -59,6 +58,7 @@ def run(arguments: Arguments) -> None:
 
 def _run_stages(arguments: Arguments, group: ProcessGroup) -> None:
     from fourd.base.configs import to_yaml
+    from fourd.base.version import __version__
     from fourd.cli.training_options import print_summary
     from fourd.pipeline.fetch import fetch_stage, fetched_path
     from fourd.pipeline.graphs.run import RunRequest, stages_to_resume, stages_to_run

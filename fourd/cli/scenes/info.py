@@ -24,9 +24,9 @@ from fourd.base.storage import Location, StorageUrl
 from fourd.cli.locations import PATH_OR_URL, scene_or_copy
 from fourd.cli.options import option
 from fourd.cli.outputs import READS
-from fourd.cli.scenes.capture_facts import last_metrics, quality_lines, split_and_masks
-from fourd.cli.scenes.info_folders import SITE_SCENE, describe_parts, folder_bytes, is_site, is_work_folder
-from fourd.cli.scenes.info_values import (
+from fourd.cli.scenes.description.captures import last_metrics, quality_lines, split_and_masks
+from fourd.cli.scenes.description.folders import SITE_SCENE, describe_parts, folder_bytes, is_site, is_work_folder
+from fourd.cli.scenes.description.values import (
     bytes_text,
     count_text,
     names_text,
@@ -36,7 +36,6 @@ from fourd.cli.scenes.info_values import (
     unit_text,
     vector_text,
 )
-from fourd.cli.scenes.system import describe_system
 from fourd.reconstruction.training.run_layout import CHECKPOINTS, checkpoint_files, segment_folders
 from fourd.recording.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.recording.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES, camera_folders
@@ -68,6 +67,8 @@ class Arguments:
 def run(arguments: Arguments) -> None:
     """Detect the type, read the headers and print a table."""
     if arguments.system:
+        from fourd.cli.scenes.description.system import describe_system
+
         _print_table("this installation", describe_system())
     if arguments.path is not None:
         _describe_path(arguments.path)
@@ -121,7 +122,8 @@ def _describe_file(path: Path) -> tuple[str, Rows]:
     if path.suffix == ".safetensors":
         return "a checkpoint", _checkpoint(path)
     if path.suffix.lower() in VIDEO_SUFFIXES:
-        return "a video", _video(path)
+        with ParserProcess() as parser:
+            return "a video", _video(path, parser)
     raise _unknown(path)
 
 
@@ -140,7 +142,9 @@ def _describe_folder(path: Path) -> tuple[str, Rows]:
         parts = describe_parts(path, _title)
         return f"a folder with {count_text(len(parts), 'thing')} that fourd knows", parts
     if videos:
-        return "a folder of videos", [(file.name, "; ".join(value for _, value in _video(file))) for file in videos]
+        with ParserProcess() as parser:
+            lines = [(file.name, "; ".join(value for _, value in _video(file, parser))) for file in videos]
+        return "a folder of videos", lines
     if any(file.suffix.lower() in (".ply", ".splat") for file in path.iterdir()):
         return "points or Gaussian splats, one file for each frame", _splats(path)
     parts = describe_parts(path, _title)
@@ -255,45 +259,11 @@ def _checkpoint(path: Path) -> Rows:
     return rows
 
 
-def _video(path: Path) -> Rows:
+def _video(path: Path, parser: ParserProcess) -> Rows:
     """Describe a video in a child process, because a damaged video can crash FFmpeg."""
     require_regular(path)
-    with ParserProcess() as parser:
-        rows = parser.call("fourd.cli.scenes.info:describe_video_in_child", path).value
+    rows = parser.call("fourd.cli.scenes.description.video:describe_video", path).value
     return [(str(name), str(value)) for name, value in rows]
-
-
-def describe_video_in_child(name: str) -> Rows:
-    """Describe a video. :func:`_video` calls this function in its child process."""
-    import av
-
-    from fourd.recording.capture.streams.container import frame_count, open_container, video_stream
-
-    path = Path(name)
-    try:
-        with open_container(path) as container:
-            stream = video_stream(path, container)
-            rate = float(stream.average_rate or 0)
-            seconds = float(container.duration or 0) / av.time_base
-            frames = frame_count(stream) or round(seconds * rate)
-            return [
-                ("frames", f"{frames} at {format_rate(rate)} per second, {seconds:.2f} s"),
-                ("image size", _turned_size(path)),
-                ("codec", stream.codec_context.name),
-                ("size", bytes_text(path.stat().st_size)),
-            ]
-    except (av.FFmpegError, ValueError, OverflowError, OSError) as error:
-        raise UserError(f"{path}: expected a whole video, got a damaged file; copy it again") from error
-
-
-def _turned_size(path: Path) -> str:
-    """Describe the frames of a video: their size when upright, the angle by which fourd turns them upright, and the HDR
-    transfer function, if any."""
-    from fourd.recording.capture.video import first_frame
-
-    width, height, turn, transfer = first_frame(path)
-    turned = f", turned by {360 - turn} degrees clockwise" if turn else ""
-    return f"{width} x {height}{turned}" + (f", HDR ({transfer})" if transfer else "")
 
 
 def _run(path: Path) -> Rows:

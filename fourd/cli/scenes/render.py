@@ -16,7 +16,7 @@ from fourd.base.storage import Location
 from fourd.cli.locations import PATH_OR_URL, scene_or_copy
 from fourd.cli.options import Frames, StyleName, check_rendering, option, split_names
 from fourd.cli.outputs import READS, WRITES
-from fourd.cli.scenes.info_values import count_text
+from fourd.cli.scenes.description.values import count_text
 from fourd.cli.scenes.lens_options import LensOptions
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from fourd.base.storage import Location, local_copy
 from fourd.cli.locations import PATH_OR_URL, transfer_progress
 from fourd.cli.options import StyleName, check_rendering, describe, option
 from fourd.cli.outputs import READS, WRITES
-from fourd.cli.scenes.info_values import count_text
+from fourd.cli.scenes.description.values import count_text
 from fourd.viewer.rendering.renderer_name import RendererName
 
 if TYPE_CHECKING:

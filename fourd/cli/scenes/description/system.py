@@ -9,7 +9,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from fourd.base.errors import UserError, one_line
-from fourd.base.version import __version__
 from fourd.rendering.ops.loading import load_native, simd_name, thread_count
 
 PACKAGES = ("numpy", "opencv-contrib-python-headless", "av", "moderngl", "torch", "pycolmap", "glfw", "imgui-bundle")
@@ -24,6 +23,8 @@ def describe_system() -> list[tuple[str, str]]:
 
     No value contains a path of a user's file or another name that the user has chosen.
     """
+    from fourd.base.version import __version__
+
     return [
         ("fourd", __version__),
         ("Python", f"{platform.python_version()}, {platform.python_implementation()}"),

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from fourd.base.files import list_folder
-from fourd.cli.scenes.info_values import bytes_text
+from fourd.cli.scenes.description.values import bytes_text
 from fourd.reconstruction.training.run_layout import CONFIG_NAME
 
 SITE_SCENE = "scene.4dv"

@@ -1,0 +1,1 @@
+"""What `fourd info` says about files, folders and machines."""
