@@ -11,6 +11,7 @@ import tyro
 from fourd.base.errors import UserError
 from fourd.base.progress import Terminal, Tracker
 from fourd.base.storage import Location, local_copy
+from fourd.cli.loading import load_package
 from fourd.cli.locations import PATH_OR_URL, transfer_progress
 from fourd.cli.outputs import READS
 from fourd.reconstruction.training.run_layout import CHECKPOINTS, CONFIG_NAME, checkpoint_files, segment_folders
@@ -63,6 +64,7 @@ def _verify_scene(path: Path, track: Tracker) -> str:
 
 
 def _verify_run(path: Path, console: Terminal, track: Tracker) -> str:
+    load_package("torch")
     from fourd.reconstruction.training.checkpoints import verify_checkpoint
 
     runs = [path, *segment_folders(path)]
