@@ -15,7 +15,6 @@ from fourd.base.errors import UserError
 from fourd.scene.styles.presets import STYLE_SUFFIXES
 from fourd.viewer.comparison.captured import is_capture
 from fourd.viewer.comparison.comparison import MODES, Comparison, Mode
-from fourd.viewer.comparison.placement import find_view
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.interface.file_dialog import FileDialog, has_file_dialogs
 from fourd.viewer.interface.layout import Area, Layout, has_room_for_panel
@@ -165,7 +164,8 @@ class ViewerState:
         if saved is None:
             # The room for the picture depends on the panel and the bar, which are there from now on.
             self.session.pose = scene.initial_pose(size, self._room)
-        self.session.is_free, self.camera_index = saved is not None, 0
+        shown = 0 if saved is None else scene.shown_camera(saved, size)
+        self.session.is_free, self.camera_index = shown is None, shown or 0
         self.bookmarks.open(scene.path)
         self.measurement.reset()
         self.set_preferences(self.preferences.with_recent(scene.path))
@@ -286,8 +286,7 @@ class ViewerState:
         scene, pose = self.session.scene, self.session.pose
         if not self.comparison.is_on or self.comparison.other is not None or scene is None or pose is None:
             return None
-        shown = pose.camera(*self.window.framebuffer_size)
-        return find_view(scene.manifest.cameras, shown, pose.distance, self.camera_index)
+        return scene.shown_camera(pose, self.window.framebuffer_size, self.camera_index)
 
     def take_screenshot(self) -> None:
         """Write the image to a PNG in the working directory, without the panel and with the picture in its middle."""

@@ -12,6 +12,7 @@ import pytest
 from fourd.base.errors import UserError
 from fourd.scene import SceneReader
 from fourd.viewer.display import CropBox, DisplaySettings
+from fourd.viewer.navigation.saved_views import SavedViews
 from fourd.viewer.playback.sources import RunSource, open_frame_source
 from fourd.viewer.rendering.offscreen import OffscreenRenderer
 from fourd.viewer.session import TRANSITION_SECONDS, LoadedScene, Session
@@ -308,6 +309,19 @@ def test_the_view_is_free_after_the_user_has_moved_it(scene: Path) -> None:
     session.move_to(found.camera_pose(0, SIZE))
     session.advance(TRANSITION_SECONDS / 2)
     assert not session.is_free
+    session.close()
+
+
+def test_a_kept_view_is_known_as_that_of_its_camera(scene: Path, tmp_path: Path) -> None:
+    """Catches a list of cameras that shows "free" after a scene is opened again, although a camera's view is shown."""
+    session = Session(DisplaySettings())
+    found = open_scene(session, scene)
+    for index in range(len(found.manifest.cameras)):
+        SavedViews(tmp_path / "views.json").save(scene, found.camera_pose(index, SIZE))
+        kept = SavedViews(tmp_path / "views.json").load(scene)
+        assert kept is not None
+        assert found.shown_camera(kept, SIZE) == index
+    assert found.shown_camera(found.camera_pose(0, SIZE).orbit(0.1, 0.0), SIZE) is None
     session.close()
 
 

@@ -11,6 +11,8 @@ from fourd.viewer.display import CropBox
 from fourd.viewer.panel.section import Section
 from fourd.viewer.state import ViewerState
 
+Corner = tuple[float, float, float]
+"""A corner of the box in world units."""
 _STEPS = 400
 """Number of steps of a slider from the lower to the upper bound of the scene."""
 _REACH = 3.0
@@ -26,25 +28,30 @@ def _draw(state: ViewerState) -> None:
         crop = CropBox(*_bounds(scene.manifest.bounds)) if is_on else None
         session.settings = replace(session.settings, crop=crop)
     if session.settings.crop is not None:
-        lower, upper = _bounds(scene.manifest.bounds)
-        session.settings = replace(session.settings, crop=_edit(session.settings.crop, lower, upper))
+        bounds, unit = _bounds(scene.manifest.bounds), scene.manifest.metres_per_unit
+        session.settings = replace(session.settings, crop=_edit(session.settings.crop, bounds, unit))
 
 
-def _bounds(bounds: object) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+def _bounds(bounds: object) -> tuple[Corner, Corner]:
     """Return the corners of the subject's bounds as tuples of numbers."""
     (a, b, c), (d, e, f) = np.asarray(bounds, np.float64).tolist()
     return (a, b, c), (d, e, f)
 
 
-def _edit(crop: CropBox, lower: tuple[float, float, float], upper: tuple[float, float, float]) -> CropBox:
-    """Draw a pair of numbers for each axis. Returns the box with the user's changes."""
+def _edit(crop: CropBox, bounds: tuple[Corner, Corner], metres_per_unit: float | None) -> CropBox:
+    """Draw a pair of numbers for each axis, in metres if the length of a world unit is known. Returns the box with the
+    user's changes."""
+    scale = metres_per_unit or 1.0
+    form = "%.3f" if metres_per_unit is None else "%.3f m"
     low, high = list(crop.lower), list(crop.upper)
     for axis, name in enumerate("xyz"):
-        extent = max(upper[axis] - lower[axis], 1e-6)
-        least, most = lower[axis] - _REACH * extent, upper[axis] + _REACH * extent
-        _, low[axis], high[axis] = imgui.drag_float_range2(
-            name, low[axis], high[axis], extent / _STEPS, least, most, "%.3f", "%.3f"
-        )
+        lower, upper = scale * bounds[0][axis], scale * bounds[1][axis]
+        extent = max(upper - lower, 1e-6)
+        least, most = lower - _REACH * extent, upper + _REACH * extent
+        shown = scale * low[axis], scale * high[axis]
+        changed, *edited = imgui.drag_float_range2(name, *shown, extent / _STEPS, least, most, form, form)
+        if changed:
+            low[axis], high[axis] = edited[0] / scale, edited[1] / scale
     return CropBox((low[0], low[1], low[2]), (high[0], high[1], high[2]))
 
 
