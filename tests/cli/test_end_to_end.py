@@ -63,6 +63,19 @@ def test_run_and_exported_scene_score_the_same(made: Path, tmp_path: Path) -> No
     assert baked["box"]["psnr"] > live["box"]["psnr"] - 0.1
 
 
+def test_a_held_out_view_can_be_left_out_of_the_scores(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches an exclusion that is ignored, that evaluates training views, or that takes one for a held-out view."""
+    run, scores = made.with_suffix(".work") / "run", tmp_path / "run.json"
+    words = ["eval", str(run), "--scene", str(made), "--json", str(scores)]
+    assert main([*words, "--exclude-views", "2"]) == 0
+    assert json.loads(scores.read_text())["cameras"] == ["05"]
+    capsys.readouterr()
+    assert main([*words, "--exclude-views", "03"]) == 2
+    assert "--exclude-views: expected camera names among 02, 05, got '03'" in capsys.readouterr().err
+
+
 def test_full_scenes_are_scored_on_whole_pictures(capture: Path, made: Path, tmp_path: Path) -> None:
     """Catches an evaluation that compares a full scene with the object on black."""
     reader, views = SceneReader(made), open_capture(capture)

@@ -8,7 +8,7 @@ import pytest
 
 from fourd.base.version import __version__
 from fourd.cli.main import main
-from fourd.cli.scenes import system
+from fourd.cli.scenes.description import system
 from fourd.rendering.ops.loading import load_native
 from tests.baking.scenes import write_scene
 

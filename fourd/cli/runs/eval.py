@@ -12,7 +12,7 @@ from rich.console import Console
 from fourd.base.errors import UserError
 from fourd.base.files import write_text_atomically
 from fourd.base.progress import Terminal, Tracker
-from fourd.cli.options import LpipsWeights, RunPath, option, split_names
+from fourd.cli.options import LpipsWeights, RunPath, chosen_views, option
 from fourd.cli.outputs import READS, WRITES_JSON
 from fourd.reconstruction.training.run_layout import segment_folder
 
@@ -45,6 +45,8 @@ class Arguments:
     """Write the scores of every image to this file as JSON."""
     views: Annotated[str | None, option("NAME,NAME", "the held-out views")] = None
     """Names of the cameras to evaluate, separated by commas."""
+    exclude_views: Annotated[str | None, option("NAME,NAME", "none")] = None
+    """Names of held-out views that are not evaluated, separated by commas."""
     scene: Annotated[Path | None, READS, option("SCENE.4dv", "none")] = None
     """Evaluate this scene file, which was exported from the run, instead of the run's model."""
     plates: Annotated[Path | None, READS, option("DIR", "none", PLATES_HELP)] = None
@@ -66,7 +68,7 @@ def run(arguments: Arguments) -> None:
 
     console = Terminal(stderr=True)
     trained = open_trained(arguments.run)
-    indices = _evaluated_views(trained, arguments.views)
+    indices = _evaluated_views(trained, arguments)
     lpips = load_lpips(arguments.lpips_weights)
     if lpips is None:
         console.print("LPIPS: no weights found, so LPIPS is not measured; name the weights with --lpips-weights")
@@ -251,20 +253,20 @@ def _backgrounds(
     return scores
 
 
-def _evaluated_views(trained: TrainedRun | SegmentedRun, views: str | None) -> list[int]:
+def _evaluated_views(trained: TrainedRun | SegmentedRun, arguments: Arguments) -> list[int]:
+    from fourd.recording.capture.layout import select_views
+
     names = trained.run.capture.names
-    if views is None:
-        if not trained.run.test:
-            raise UserError(
-                f"{trained.run.folder}: expected held-out views, got a run that was trained on all views; "
-                f"train with --test-views, or name training views with --views"
-            )
-        return trained.run.test
-    wanted = split_names(views) or ()
-    unknown = [name for name in wanted if name not in names]
-    if unknown:
-        raise UserError(f"--views: expected names among {', '.join(names)}, got {', '.join(unknown)}")
-    return [names.index(name) for name in wanted]
+    chosen = chosen_views(arguments.views, arguments.exclude_views)
+    if arguments.views is not None:
+        return [names.index(name) for name in select_views(chosen, names)]
+    if not trained.run.test:
+        raise UserError(
+            f"{trained.run.folder}: expected held-out views, got a run that was trained on all views; "
+            f"train with --test-views, or name training views with --views"
+        )
+    held_out = [names[index] for index in trained.run.test]
+    return [names.index(name) for name in select_views(chosen, held_out)]
 
 
 def _print(evaluation: Evaluation, trained: TrainedRun | SegmentedRun, backgrounds: dict[str, float]) -> None:
