@@ -15,6 +15,8 @@ export class SceneTab {
     this.note = byId("scene-note");
     this.bar = /** @type {HTMLProgressElement} */ (byId("scene-progress"));
     this.isShown = false;
+    /** Whether the player loads its first image. */
+    this.isLoading = false;
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.timer = undefined;
     this.buttons.training.addEventListener("click", () => this.#select(false));
@@ -44,10 +46,10 @@ export class SceneTab {
     let delay = POLL_MS;
     try {
       const scene = await fetchScene();
-      setText(this.note, describe(scene));
       this.#showProgress(scene);
       if (scene.state === "baking") delay = BAKING_POLL_MS;
       if (scene.step >= 0 && this.isShown) await this.#showPlayer();
+      setText(this.note, describe(scene, this.isLoading));
     } catch (error) {
       if (!(error instanceof Refusal)) throw error;
       setText(this.note, error.message);
@@ -71,7 +73,14 @@ export class SceneTab {
     const player = document.createElement("fourd-player");
     for (const name of ["autoplay", "links", "live"]) player.setAttribute(name, "");
     player.setAttribute("src", "scene.4dv");
+    this.isLoading = true;
+    for (const name of ["ready", "error"]) player.addEventListener(name, () => this.#endLoading(), { once: true });
     this.panes.scene.append(player);
+  }
+
+  #endLoading() {
+    this.isLoading = false;
+    this.#follow();
   }
 }
 
@@ -84,9 +93,14 @@ function shareOf({ work, done, count }) {
   return from + ((to - from) * done) / Math.max(count, 1);
 }
 
-/** @param {import("./client.js").SceneState} scene */
-function describe(scene) {
-  const shown = scene.step < 0 ? "" : `Scene of step ${scene.step.toLocaleString("en")}.`;
+/**
+ * @param {import("./client.js").SceneState} scene
+ * @param {boolean} isLoading
+ */
+function describe(scene, isLoading) {
+  const step = scene.step.toLocaleString("en");
+  const loaded = isLoading ? `Loading the scene of step ${step} …` : `Scene of step ${step}.`;
+  const shown = scene.step < 0 ? "" : loaded;
   if (scene.state === "baking") {
     const percent = scene.progress ? ` (${Math.floor(100 * shareOf(scene.progress))}%)` : "";
     return `${shown} The scene of the newest checkpoint is being made …${percent}`.trim();
