@@ -17,8 +17,7 @@ from fourd.base.errors import UserError
 from fourd.base.files import resolved
 from fourd.base.storage import Location, StorageUrl
 from fourd.reconstruction.training.run_layout import CHECKPOINTS, CONFIG_NAME, LIVE, PREPARATION, SEGMENTS, VALIDATION
-from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
-from fourd.recording.capture.layout import VIDEOS
+from fourd.recording.capture.layout import EXTRINSICS_NAME, INTRINSICS_NAME, VIDEOS
 
 CAPTURE_FILES = (INTRINSICS_NAME, EXTRINSICS_NAME, "images", "masks", VIDEOS, "bgs", "videos.json", "split.json")
 RUN_FILES = (CONFIG_NAME, CHECKPOINTS, SEGMENTS, VALIDATION, LIVE, "metrics.jsonl", *PREPARATION)

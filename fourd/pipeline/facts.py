@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.recording.capture.calibration import INTRINSICS_NAME
-from fourd.recording.capture.layout import VIDEOS, camera_folders, camera_names, select_views
+from fourd.recording.capture.layout import INTRINSICS_NAME, VIDEOS, camera_folders, camera_names, select_views
 from fourd.recording.capture.pictures.alpha import alpha_is_matte
 from fourd.recording.capture.pictures.listing import masked_cameras
 

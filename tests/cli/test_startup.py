@@ -6,6 +6,7 @@ import io
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -27,19 +28,25 @@ print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules})))
 """
 
 
-def imported(*words: str) -> list[str]:
-    """Run a command in a new process, and return which of the slow packages it imported."""
+def imported(*words: str, packages: Sequence[str] = SLOW) -> list[str]:
+    """Run a command in a new process, and return which of the packages it imported."""
     process = subprocess.run(
         [sys.executable, "-c", RUN, json.dumps(words)], capture_output=True, text=True, check=True, timeout=300
     )
     names = json.loads(process.stdout.splitlines()[-1])
-    return [name for name in SLOW if name in names]
+    return [name for name in packages if name in names]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_imports_no_slow_package(command: str) -> None:
     """``fourd train --help`` imported torch for the type of one option, and took seconds."""
     assert imported(command, "--help") == []
+
+
+@pytest.mark.parametrize("command", ["calibrate", "check", "matte", "train", "view"])
+def test_help_does_not_import_numpy(command: str) -> None:
+    """fourd check --help imported NumPy for the names of two files."""
+    assert imported(command, "--help", packages=("numpy",)) == []
 
 
 def test_info_of_a_scene_imports_no_slow_package() -> None:

@@ -13,8 +13,7 @@ from fourd.base.configs import read_text_entry
 from fourd.base.errors import UserError
 from fourd.reconstruction.training.run_layout import CONFIG_NAME
 from fourd.recording.capture import Capture, open_capture
-from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
-from fourd.recording.capture.layout import VIDEOS, camera_folders, find_videos
+from fourd.recording.capture.layout import EXTRINSICS_NAME, INTRINSICS_NAME, VIDEOS, camera_folders, find_videos
 from fourd.scene import SceneManifest
 
 _WORK_SUFFIX, _WORK_RUN, _WORK_CAPTURES = ".work", "run", ("repaired", "capture")

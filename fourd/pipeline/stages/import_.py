@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.workload import Workload
-from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
+from fourd.recording.capture.layout import EXTRINSICS_NAME, INTRINSICS_NAME
 from fourd.recording.importing.detection import CALIBRATION_FORMATS, pick_format
 from fourd.recording.importing.given_calibration import VIDEOS_FORMAT
 from fourd.recording.importing.importer import ImportOptions, import_source

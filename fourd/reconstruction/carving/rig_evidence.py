@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from fourd.base.cameras import Camera
 from fourd.base.errors import UserError
 from fourd.reconstruction.carving.coherence import frame_coherence
-from fourd.recording.capture.calibration import EXTRINSICS_NAME
-from fourd.recording.capture.layout import sample_indices
+from fourd.recording.capture.layout import EXTRINSICS_NAME, sample_indices
 from fourd.recording.capture.pictures.mask_source import MaskSource, frame_masks
 
 MOMENTS = 3

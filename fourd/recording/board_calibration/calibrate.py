@@ -26,8 +26,8 @@ from fourd.recording.board_calibration.initial import locate_views
 from fourd.recording.board_calibration.lenses import match_lenses, read_lenses
 from fourd.recording.board_calibration.report import CameraReport, report_cameras, report_content, time_lines
 from fourd.recording.boards import CalibrationBoard
-from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, write_calibration
-from fourd.recording.capture.layout import parse_frame_range, sample_indices
+from fourd.recording.capture.calibration import write_calibration
+from fourd.recording.capture.layout import EXTRINSICS_NAME, INTRINSICS_NAME, parse_frame_range, sample_indices
 from fourd.recording.capture.video import VideoIndex, index_video
 from fourd.recording.importing.folders import check_names, find_frames
 from fourd.recording.importing.given_calibration import REPORT

@@ -18,11 +18,10 @@ from fourd.base.formats.opencv_yaml_writer import Value, escape_key, write_openc
 from fourd.base.limits import MAX_CALIBRATION_BYTES, read_text_limited
 from fourd.base.units import MAX_UNIT_M, MIN_UNIT_M
 from fourd.recording.capture.focus import describe_inverted, is_reflection
+from fourd.recording.capture.layout import EXTRINSICS_NAME, INTRINSICS_NAME
 
 Array = NDArray[np.float64]
 
-INTRINSICS_NAME = "intri.yml"
-EXTRINSICS_NAME = "extri.yml"
 MAX_NAME_BYTES = 200
 """Maximum length of a camera name in UTF-8. File systems allow 255 bytes; the rest is for suffixes and for the prefixes
 of temporary files."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.recording.capture.video import VideoReader
+if TYPE_CHECKING:
+    from fourd.recording.capture.video import VideoReader
 
 Picture = NDArray[np.uint8]
 

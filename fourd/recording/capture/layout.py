@@ -10,8 +10,6 @@ from decimal import Decimal
 from difflib import get_close_matches
 from pathlib import Path
 
-import numpy as np
-
 from fourd.base.errors import UserError
 from fourd.base.files import list_folder, resolved, sort_names
 
@@ -25,6 +23,8 @@ VIDEO_SUFFIXES = (
     *(".mts", ".m2ts", ".m2t", ".ts", ".mpg", ".mpeg"),
 )
 
+INTRINSICS_NAME = "intri.yml"
+EXTRINSICS_NAME = "extri.yml"
 VIDEOS = "videos"
 """Folder in a capture with one video per camera: CAM.mp4, or CAM with another suffix from VIDEO_SUFFIXES."""
 
@@ -126,6 +126,8 @@ def refuse_symlinks(capture: Path, folder: Path) -> None:
 
 def sample_indices(count: int, max_samples: int) -> list[int]:
     """Return at most ``max_samples`` evenly spaced indices from 0 to ``count`` - 1, including both ends."""
+    import numpy as np
+
     return sorted({round(index) for index in np.linspace(0, count - 1, min(count, max_samples))})
 
 

@@ -14,10 +14,9 @@ from fourd.recording.calibration.ambiguities import resolve_ambiguities
 from fourd.recording.calibration.chessboard import Board
 from fourd.recording.calibration.scale import Distance, set_world_frame
 from fourd.recording.calibration.structure_from_motion import calibrate_from_pictures
-from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
 from fourd.recording.capture.focus import describe_inverted
 from fourd.recording.capture.frame_rate import FPS_IS_FOR_PICTURES, read_rate, standard_rate
-from fourd.recording.capture.layout import DERIVED, refuse_symlinks, sample_indices
+from fourd.recording.capture.layout import DERIVED, EXTRINSICS_NAME, INTRINSICS_NAME, refuse_symlinks, sample_indices
 from fourd.recording.capture.pictures.alpha import ALPHA_NOTE, alpha_is_matte
 from fourd.recording.capture.pictures.masks import MaskFolder
 from fourd.recording.capture.video import VideoIndex

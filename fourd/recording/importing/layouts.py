@@ -16,7 +16,7 @@ from pathlib import Path
 
 from fourd.base.errors import UserError, command_line
 from fourd.base.files import list_folder
-from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
+from fourd.recording.capture.layout import EXTRINSICS_NAME, INTRINSICS_NAME
 from fourd.recording.importing.folders import CALIBRATION_FOLDER, find_frames
 from fourd.recording.importing.imported import Imported
 

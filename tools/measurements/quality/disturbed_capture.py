@@ -19,7 +19,8 @@ import numpy as np
 
 from fourd.base.cameras import Camera
 from fourd.recording.calibration.perturbation import perturb_cameras, pose_errors
-from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, read_calibration, write_calibration
+from fourd.recording.capture.calibration import read_calibration, write_calibration
+from fourd.recording.capture.layout import EXTRINSICS_NAME, INTRINSICS_NAME
 
 
 def make(capture: Path, out: Path, degrees: float = 0.5, metres: float = 0.01, seed: int = 0) -> None:

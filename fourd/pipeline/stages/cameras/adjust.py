@@ -19,8 +19,8 @@ from fourd.reconstruction.training.run_layout import CALIBRATION, COLOURS, START
 from fourd.recording.calibration.adjustment.adjust import adjust_cameras
 from fourd.recording.calibration.adjustment.solver import Prior
 from fourd.recording.capture import Capture
-from fourd.recording.capture.calibration import INTRINSICS_NAME
 from fourd.recording.capture.focus import viewing_centre
+from fourd.recording.capture.layout import INTRINSICS_NAME
 
 TILT = 12
 """Index of the first sensor-tilt coefficient among OpenCV's 14 distortion coefficients."""

@@ -19,8 +19,8 @@ from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.workload import Workload
 from fourd.recording.calibration.adjustment.repair import Repair, repair_cameras
 from fourd.recording.calibration.checks.agreement import CaptureMatches, assess_agreement, is_disagreeing, match_capture
-from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, require_calibration, write_calibration
-from fourd.recording.capture.layout import DERIVED, MATTES, link_entries
+from fourd.recording.capture.calibration import require_calibration, write_calibration
+from fourd.recording.capture.layout import DERIVED, EXTRINSICS_NAME, INTRINSICS_NAME, MATTES, link_entries
 from fourd.recording.matting.contours import find_foreign_mattes
 from fourd.recording.sync.lateness import find_late_cameras
 

@@ -20,7 +20,8 @@ from fourd.base.errors import UserError
 from fourd.base.files import write_text_atomically
 from fourd.reconstruction.training.run_layout import CALIBRATION, START
 from fourd.recording.capture import Capture, read_calibration, write_calibration
-from fourd.recording.capture.calibration import INTRINSICS_NAME, require_calibration
+from fourd.recording.capture.calibration import require_calibration
+from fourd.recording.capture.layout import INTRINSICS_NAME
 
 if TYPE_CHECKING:
     from fourd.reconstruction.training.cameras.rig import Rig

@@ -32,8 +32,7 @@ from fourd.recording.calibration.residuals import (
     compute_residuals,
     match_pairs,
 )
-from fourd.recording.capture.calibration import EXTRINSICS_NAME
-from fourd.recording.capture.layout import sample_indices
+from fourd.recording.capture.layout import EXTRINSICS_NAME, sample_indices
 from fourd.recording.capture.reader import open_capture
 
 Picture = NDArray[np.uint8]

@@ -12,14 +12,9 @@ import av
 
 from fourd.base.cameras import Camera
 from fourd.base.errors import UserError
-from fourd.recording.capture.calibration import (
-    EXTRINSICS_NAME,
-    INTRINSICS_NAME,
-    Calibration,
-    read_calibration,
-    require_calibration,
-)
+from fourd.recording.capture.calibration import Calibration, read_calibration, require_calibration
 from fourd.recording.capture.decoding import picture_size
+from fourd.recording.capture.layout import EXTRINSICS_NAME, INTRINSICS_NAME
 from fourd.recording.capture.split import read_test_views, require_known
 from fourd.recording.capture.video import first_frame
 from fourd.recording.importing.folders import find_frames, join_calibrations, list_entries, match_names

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from fourd.base.errors import UserError
 from fourd.base.files import write_text_atomically
-from fourd.recording.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, write_calibration
+from fourd.recording.capture.calibration import write_calibration
 from fourd.recording.capture.focus import median_distance, viewing_centre
 from fourd.recording.capture.frame_rate import NAME as RATE_NAME
 from fourd.recording.capture.frame_rate import write_rate
-from fourd.recording.capture.layout import VIDEOS, frame_name
+from fourd.recording.capture.layout import EXTRINSICS_NAME, INTRINSICS_NAME, VIDEOS, frame_name
 from fourd.recording.synth.folder import (
     has_finished,
     prepare_folder,
