@@ -11,7 +11,6 @@ import numpy as np
 from fourd.base.cameras import estimate_up
 from fourd.base.files import natural_key
 from fourd.scene import SceneManifest
-from fourd.viewer.comparison.placement import find_view
 from fourd.viewer.navigation.pose import Pose, pose_facing, pose_from_camera
 from fourd.viewer.playback.prefetch import BUFFER_BYTES, MAX_FRAMES, MIN_FRAMES, BakedFrameSource, FramePrefetcher
 from fourd.viewer.playback.sources import RunSource
@@ -69,11 +68,6 @@ class LoadedScene:
     def camera_pose(self, index: int, size: tuple[int, int], room: tuple[float, float] | None = None) -> Pose:
         """Return the pose of a camera of the capture. Its image fits into ``room`` (width, height) or ``size``."""
         return pose_from_camera(self.manifest.cameras[index], self.manifest.focus, self.up, size, room)
-
-    def shown_camera(self, pose: Pose, size: tuple[int, int], preferred: int = 0) -> int | None:
-        """Return the index of the camera of the capture whose view ``pose`` is, or None. If several cameras have this
-        view, it is the camera ``preferred``, if it is one of them."""
-        return find_view(self.manifest.cameras, pose.camera(*size), pose.distance, preferred)
 
     def poll_checkpoint(self) -> bool:
         """Check for a new checkpoint of the run, at most once per second.

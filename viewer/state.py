@@ -15,6 +15,7 @@ from fourd.base.errors import UserError
 from fourd.scene.styles.presets import STYLE_SUFFIXES
 from fourd.viewer.comparison.captured import is_capture
 from fourd.viewer.comparison.comparison import MODES, Comparison, Mode
+from fourd.viewer.comparison.placement import find_view_of_pose
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.interface.file_dialog import FileDialog, has_file_dialogs
 from fourd.viewer.interface.layout import Area, Layout, has_room_for_panel
@@ -164,7 +165,7 @@ class ViewerState:
         if saved is None:
             # The room for the picture depends on the panel and the bar, which are there from now on.
             self.session.pose = scene.initial_pose(size, self._room)
-        shown = 0 if saved is None else scene.shown_camera(saved, size)
+        shown = 0 if saved is None else find_view_of_pose(scene, saved, size)
         self.session.is_free, self.camera_index = shown is None, shown or 0
         self.bookmarks.open(scene.path)
         self.measurement.reset()
@@ -286,7 +287,7 @@ class ViewerState:
         scene, pose = self.session.scene, self.session.pose
         if not self.comparison.is_on or self.comparison.other is not None or scene is None or pose is None:
             return None
-        return scene.shown_camera(pose, self.window.framebuffer_size, self.camera_index)
+        return find_view_of_pose(scene, pose, self.window.framebuffer_size, self.camera_index)
 
     def take_screenshot(self) -> None:
         """Write the image to a PNG in the working directory, without the panel and with the picture in its middle."""

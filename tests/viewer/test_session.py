@@ -11,6 +11,7 @@ import pytest
 
 from fourd.base.errors import UserError
 from fourd.scene import SceneReader
+from fourd.viewer.comparison.placement import find_view_of_pose
 from fourd.viewer.display import CropBox, DisplaySettings
 from fourd.viewer.navigation.saved_views import SavedViews
 from fourd.viewer.playback.sources import RunSource, open_frame_source
@@ -320,8 +321,8 @@ def test_a_kept_view_is_known_as_that_of_its_camera(scene: Path, tmp_path: Path)
         SavedViews(tmp_path / "views.json").save(scene, found.camera_pose(index, SIZE))
         kept = SavedViews(tmp_path / "views.json").load(scene)
         assert kept is not None
-        assert found.shown_camera(kept, SIZE) == index
-    assert found.shown_camera(found.camera_pose(0, SIZE).orbit(0.1, 0.0), SIZE) is None
+        assert find_view_of_pose(found, kept, SIZE) == index
+    assert find_view_of_pose(found, found.camera_pose(0, SIZE).orbit(0.1, 0.0), SIZE) is None
     session.close()
 
 

@@ -8,6 +8,8 @@ import numpy as np
 
 from fourd.base.cameras import Camera
 from fourd.viewer.interface.layout import Area
+from fourd.viewer.loaded_scene import LoadedScene
+from fourd.viewer.navigation.pose import Pose
 
 _SAME_ROTATION, _SAME_PLACE = 1e-4, 1e-4
 """Largest differences between entries of rotation matrices, and between positions as a share of the distance to the
@@ -35,6 +37,12 @@ def find_view(cameras: Sequence[Camera], shown: Camera, distance: float, preferr
     this view, it is the camera ``preferred``, if it is one of them."""
     order = [preferred, *range(len(cameras))] if preferred < len(cameras) else range(len(cameras))
     return next((index for index in order if same_view(cameras[index], shown, distance)), None)
+
+
+def find_view_of_pose(scene: LoadedScene, pose: Pose, size: tuple[int, int], preferred: int = 0) -> int | None:
+    """Return the index of the camera of the capture whose view ``pose`` is, as :func:`find_view` does, in a window of
+    ``size`` (width, height) pixels."""
+    return find_view(scene.manifest.cameras, pose.camera(*size), pose.distance, preferred)
 
 
 def compared_area(free: Area, mode: str) -> Area:
