@@ -30,6 +30,7 @@ COMMANDS = {
     "eval": "runs.eval",
     "export": "runs.export",
     "pack": "scenes.pack",
+    "edit": "scenes.edit",
     "render": "scenes.render",
     "view": "scenes.view",
     "web": "scenes.web",
@@ -103,6 +104,7 @@ HELP = """fourd turns multi-view video of a moving scene into a 4D point scene.
   fourd eval RUN                    evaluate a run on held-out views
   fourd export RUN -o scene.4dv     bake a scene for real-time rendering
   fourd pack SCENE -o scene.4dv     convert a scene to a compact file
+  fourd edit SCENE -o scene.4dv     cut, crop, move, recolour or combine scenes
   fourd render RUN|SCENE --out OUT  render images or a video
   fourd view SCENE|RUN              play a scene in a window
   fourd web SCENE -o DIR            write a web page that plays a scene

@@ -162,7 +162,7 @@ def missing_frame_error(folder: Path, found: Mapping[str, str], frames: Sequence
     )
 
 
-def parse_frame_range(text: str | None, count: int, source: str = "capture") -> range:
+def parse_frame_range(text: str | None, count: int, source: str = "capture", option: str = "--frames") -> range:
     """Parse a frame range ``A:B[:S]``: every S-th frame from A to B - 1.
 
     A and B are optional. A defaults to the first frame, and B defaults to the number of frames.
@@ -171,6 +171,7 @@ def parse_frame_range(text: str | None, count: int, source: str = "capture") -> 
         text: the option's value, or None for all frames.
         count: number of frames.
         source: word for the container of the frames in error messages, such as "capture".
+        option: name of the option in error messages.
 
     Raises:
         UserError: if the text is not a valid range, or selects no frame.
@@ -183,11 +184,11 @@ def parse_frame_range(text: str | None, count: int, source: str = "capture") -> 
     except ValueError:
         numbers = []
     if len(numbers) not in (2, 3) or (len(numbers) == 3 and (numbers[2] is None or numbers[2] < 1)):
-        raise UserError(f"--frames: expected A:B or A:B:S with S at least 1 (such as 0:24 or 0:100:5), got '{text}'")
+        raise UserError(f"{option}: expected A:B or A:B:S with S at least 1 (such as 0:24 or 0:100:5), got '{text}'")
     start, stop = numbers[0] or 0, numbers[1]
     if start < 0 or start >= count or (stop is not None and not start < stop <= count):
         raise UserError(
-            f"--frames: expected A:B with 0 <= A < B <= {count}, since the {source} has {count} frames, got '{text}'"
+            f"{option}: expected A:B with 0 <= A < B <= {count}, since the {source} has {count} frames, got '{text}'"
         )
     return range(count)[slice(*numbers)]
 

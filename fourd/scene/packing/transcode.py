@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -50,6 +51,34 @@ def transcode_scene(
                 writer.add_frame(index, points, contents, None if shadow is None else shadow.tobytes())
     finally:
         reader.close()
+
+
+def copy_frames(
+    reader: SceneReader, out: Path, chosen: Sequence[int], manifest: SceneManifest, track: Track = untracked
+) -> None:
+    """Write the frames of a packed scene with the indices ``chosen`` as ``out``, without quantising the points again.
+
+    Args:
+        reader: the packed scene.
+        manifest: the manifest of the result, with ``encoding``. Its kind may be "object" although the scene has a
+            background, which is then left out.
+
+    Raises:
+        UserError: if the scene is damaged, or if ``out`` cannot be written.
+    """
+    has_background = manifest.kind == "full"
+    with PackedWriter(out, manifest) as writer:
+        background = reader.read_background() if has_background else None
+        assert manifest.encoding is not None
+        if background is not None and manifest.encoding.background is not None:
+            points = background.point_count
+            writer.add_background(_contents(reader, BACKGROUND, points, manifest.encoding.background))
+        for index in track(range(len(chosen)), len(chosen), "copy"):
+            frame = chosen[index]
+            points = reader.read_dynamic(frame).point_count
+            contents = _contents(reader, frame_folder(frame), points, manifest.encoding.dynamic)
+            shadow = reader.read_shadow(frame) if has_background else None
+            writer.add_frame(index, points, contents, None if shadow is None else shadow.tobytes())
 
 
 def _contents(reader: SceneReader, folder: str, points: int, encoding: CloudEncoding) -> dict[str, bytes]:

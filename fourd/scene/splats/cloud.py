@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.rendering.ops.shade.harmonics import SH_CONSTANT, SH_TERMS, directional_terms
+from fourd.rendering.ops.shade.harmonics import SH_CONSTANT, harmonics_rotation
 
 LARGEST = 1e9
 """Maximum absolute value of the numbers of a splat."""
@@ -96,7 +96,7 @@ def rotate_cloud(cloud: SplatCloud, rotation: NDArray[np.float64]) -> SplatCloud
             that the original splat has in the direction d.
     """
     turned = _multiply(_quaternion(rotation), cloud.rotation)
-    harmonics = _harmonics_rotation(rotation)[: cloud.sh.shape[-1], : cloud.sh.shape[-1]]
+    harmonics = harmonics_rotation(rotation)[: cloud.sh.shape[-1], : cloud.sh.shape[-1]]
     return SplatCloud(
         np.asarray(cloud.xyz @ rotation.T, np.float32),
         cloud.scale,
@@ -104,26 +104,6 @@ def rotate_cloud(cloud: SplatCloud, rotation: NDArray[np.float64]) -> SplatCloud
         cloud.opacity,
         np.asarray(cloud.sh @ harmonics.T, np.float32),
     )
-
-
-def _harmonics_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix (16, 16) that rotates spherical-harmonics coefficients. It mixes only coefficients of the same
-    degree.
-
-    The matrix solves a linear system: for each direction d, the colour of the rotated splat in the direction d must
-    equal the colour of the original splat in the direction R.T @ d, where R is ``rotation``. The system is
-    overdetermined but has an exact solution.
-    """
-    directions = np.random.default_rng(0).normal(size=(4 * SH_TERMS, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    after, before = _basis(directions), _basis(directions @ rotation)
-    solution = np.linalg.lstsq(after, before, rcond=None)[0]
-    return np.asarray(np.where(np.abs(solution) < 1e-12, 0, solution))
-
-
-def _basis(directions: NDArray[np.float64]) -> NDArray[np.float64]:
-    terms = directional_terms(*directions.T)
-    return np.stack([np.full(len(directions), SH_CONSTANT), *terms], axis=1)
 
 
 def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -32,6 +32,7 @@ CASES: dict[tuple[str, str], list[str]] = {
     ("eval", "json"): ["{in}", "--json", "{out}"],
     ("export", "out"): ["{in}", "-o", "{out}"],
     ("pack", "out"): ["{in}", "-o", "{out}"],
+    ("edit", "out"): ["{in}", "-o", "{out}", "--trim", "0:1"],
     ("render", "out"): ["{in}", "--out", "{out}", "--path", "orbit"],
     ("view", "headless"): ["{in}", "--headless", "{out}"],
     ("view", "screenshot"): ["{in}", "--screenshot", "{out}"],

@@ -7,6 +7,9 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 SH_TERMS = 16
 SH_CONSTANT = 0.28209479177387814
 """Value of spherical harmonic 0, which is the same for all directions."""
@@ -40,3 +43,23 @@ def directional_terms(x: Any, y: Any, z: Any) -> list[Any]:
         1.445305721320277 * z * (xx - yy),
         -0.5900435899266435 * x * (xx - 3 * yy),
     ]
+
+
+def harmonics_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the matrix (16, 16) that multiplies spherical-harmonics coefficients when the scene is rotated by R =
+    ``rotation`` (3, 3). It mixes only coefficients of the same degree.
+
+    The matrix solves a linear system: for each direction d, the colour of the rotated scene in the direction d must
+    equal the colour of the original scene in the direction R.T @ d. The system is overdetermined but has an exact
+    solution.
+    """
+    directions = np.random.default_rng(0).normal(size=(4 * SH_TERMS, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    after, before = _basis(directions), _basis(directions @ rotation)
+    solution = np.linalg.lstsq(after, before, rcond=None)[0]
+    return np.asarray(np.where(np.abs(solution) < 1e-12, 0, solution))
+
+
+def _basis(directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    terms = directional_terms(*directions.T)
+    return np.stack([np.full(len(directions), SH_CONSTANT), *terms], axis=1)

@@ -1,0 +1,1 @@
+"""Editing of baked scenes: frames, regions, floaters, colours, placement and background."""
