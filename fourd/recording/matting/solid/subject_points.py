@@ -11,6 +11,7 @@ from scipy import ndimage
 from fourd.base.cameras import Array, Camera
 from fourd.recording.capture.focus import find_focus, median_distance
 from fourd.recording.matting.solid.room import Room
+from fourd.recording.stereo.plane_hypotheses import find_large_planes
 
 Flags = NDArray[np.bool_]
 
@@ -20,6 +21,14 @@ whatever stands at the walls, and to errors of stereo."""
 VOXEL_SHARE = 0.03
 """Side of a voxel, as a fraction of the median distance of the cameras from the centre: 8 cm at 2.7 m. Parts of a body
 between which stereo found nothing, such as a plain shirt, are connected if the gap is below three voxels."""
+PLANE_TOLERANCE = 0.01
+"""Largest distance of a point from its plane, as a fraction of the median distance of the cameras from the centre."""
+MIN_PLANE_SHARE = 0.02
+"""A plane is the floor or a wall if at least this fraction of all points is on it."""
+MAX_BEYOND = 0.03
+"""Largest fraction of all points that may lie behind the floor or a wall: errors of stereo, and reflections."""
+PLANE_POINTS = 20_000
+"""Number of points among which planes are looked for."""
 MIN_POINTS = 2
 """Minimum number of points in an occupied voxel. Single points are mostly errors."""
 MIN_COMPONENT = 100
@@ -49,9 +58,36 @@ def find_subject_points(moments: Sequence[Array], cameras: Sequence[Camera], reg
     if centre is None or not len(everything):
         return [np.zeros((0, 3)) for _ in moments]
     room = Room.around(centre, everything, cameras)
-    voxel = VOXEL_SHARE * reach(cameras)
-    inside = [xyz[room.depth_share(xyz) < MAX_DEPTH_SHARE] for xyz in moments]
+    distance = reach(cameras)
+    voxel, tolerance = VOXEL_SHARE * distance, PLANE_TOLERANCE * distance
+    planes = _walls(everything, cameras, tolerance)
+    inside = [
+        xyz[(room.depth_share(xyz) < MAX_DEPTH_SHARE) & ~_is_on(planes, xyz, tolerance).any(axis=1)] for xyz in moments
+    ]
     return [_moving_objects(xyz, voxel, cameras, regions) for xyz in inside]
+
+
+def _walls(xyz: Array, cameras: Sequence[Camera], tolerance: float) -> Array:
+    """Return the planes (P, 4), n . x = d, of the floor, the ceiling and flat walls.
+
+    Where a subject stands on the floor, the distance of the room changes much within a cell of directions, so that
+    points on the floor seem to be inside the room. All cameras are on one side of the floor, and nearly nothing is on
+    the other side, unlike with a plane through a body.
+    """
+    rng = np.random.default_rng(0)
+    some = xyz if len(xyz) <= PLANE_POINTS else xyz[rng.integers(0, len(xyz), PLANE_POINTS)]
+    planes = find_large_planes(some, np.ones(len(some)), tolerance, rng)
+    centres = np.stack([camera.centre for camera in cameras])
+    sides = np.sign(centres @ planes[:, :3].T - planes[:, 3])
+    offsets = (some @ planes[:, :3].T - planes[:, 3]) * sides[0]
+    is_large = (np.abs(offsets) < tolerance).mean(axis=0) >= MIN_PLANE_SHARE
+    is_outermost = (offsets < -2 * tolerance).mean(axis=0) <= MAX_BEYOND
+    return planes[(sides == sides[0]).all(axis=0) & is_large & is_outermost]
+
+
+def _is_on(planes: Array, xyz: Array, tolerance: float) -> NDArray[np.bool_]:
+    """Return which of the points (N, 3) are on which of the P planes, as (N, P)."""
+    return np.asarray(np.abs(xyz @ planes[:, :3].T - planes[:, 3]) < tolerance)
 
 
 def reach(cameras: Sequence[Camera]) -> float:
