@@ -30,7 +30,7 @@ COMMANDS = {
     "eval": "runs.eval",
     "export": "runs.export",
     "pack": "scenes.pack",
-    "render": "scenes.render",
+    "render": "rendering.render",
     "view": "scenes.view",
     "web": "scenes.web",
     "serve": "scenes.serve",

@@ -29,7 +29,7 @@ from fourd.recording.capture.streams.matroska import missing_bytes
 from fourd.recording.capture.video_list import list_videos
 from fourd.recording.importing.formats import actorshq, anipose, caliscope, neural3dv, qualisys, transforms_json
 from fourd.scene.splats.reader import SplatReader
-from fourd.viewer.navigation.recorded_path import load_recorded_path
+from fourd.viewer.camera_paths.reading import read_own_path
 from tests.baking.scenes import read_frames
 
 FOLDER = Path("build") / "fuzz"
@@ -60,7 +60,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "videos": ("videos.json", lambda path: list_videos(path.parent)),
     "overlay": ("a.yaml", lambda path: load_overlay(TrainConfig(), path)),
     "board": ("a.toml", read_board),
-    "path": ("a.json", load_recorded_path),
+    "path": ("a.json", read_own_path),
     "transforms": ("transforms.json", lambda path: transforms_json.read(path.parent)),
     "qualisys": ("a.qca.txt", qualisys.read_cameras),
     "anipose": ("a.toml", anipose.read_cameras),

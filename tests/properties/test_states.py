@@ -22,7 +22,7 @@ from fourd.reconstruction.training.checkpoints import SavedProgress, load_checkp
 from fourd.recording.boards import read_board
 from fourd.recording.capture import frame_rate, video_list
 from fourd.recording.importing.record import RECORD, check_unpacked, read_record, write_record
-from fourd.viewer.navigation.recorded_path import load_recorded_path
+from fourd.viewer.camera_paths.reading import read_own_path
 from tests.properties.effort import EFFORTS
 from tests.properties.json_trees import Tree, changed_trees, trees
 
@@ -149,7 +149,7 @@ READERS: dict[str, tuple[str, Tree, Callable[[Path], object]]] = {
     "camera path": (
         "a.json",
         {"format": "fourd-path", "version": 1, "fps": 30.0, "stops": [POSE]},
-        lambda folder: load_recorded_path(folder / "a.json"),
+        lambda folder: read_own_path(folder / "a.json"),
     ),
 }
 """File name, valid content, and a function that reads the file in a folder."""
