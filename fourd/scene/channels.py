@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.base.cameras import Camera
+from fourd.rendering.ops.pixel_filter.reference import filter_pixels_reference
 from fourd.rendering.ops.play.near_fade import fade_near
 from fourd.rendering.ops.points.arrays import render_points_numpy
 from fourd.scene.meshes.drawing import GeometryBuffer
@@ -20,7 +21,7 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Channels:
-    """Images of a frame, float32. The pixel filter of a scene is not applied to them.
+    """Images of a frame, float32. The pixel filter of a scene is applied to alpha, as to its colours.
 
     Attributes:
         alpha: (H, W) opacity in [0, 1].
@@ -53,7 +54,7 @@ class ChannelPainter:
             layers=layers or manifest.layers,
             near=manifest.near,
         )
-        return Channels(alpha, depth, _upright(summed))
+        return Channels(filter_pixels_reference(alpha, manifest.pixel_filter), depth, _upright(summed))
 
 
 def mesh_channels(buffer: GeometryBuffer) -> Channels:

@@ -28,7 +28,7 @@ def to_linear(rgb: NDArray[np.floating], alpha: NDArray[np.floating] | None = No
     """Convert colours (H, W, 3) from sRGB to linear light, as EXR files have them. If the colours are on black, with
     the opacity ``alpha`` (H, W), they are divided by it before and multiplied by it after."""
     opacity = np.ones_like(rgb[..., :1]) if alpha is None else alpha[..., None]
-    straight = np.divide(rgb, opacity, out=np.zeros_like(rgb), where=opacity > 1e-6)
+    straight = np.divide(rgb, opacity, out=np.zeros_like(rgb), where=opacity > 1e-6).clip(0, 1)
     linear = np.where(straight <= 0.04045, straight / 12.92, ((straight.clip(0.04045) + 0.055) / 1.055) ** 2.4)
     return np.asarray(linear * opacity, np.float32)
 
