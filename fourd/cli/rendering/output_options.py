@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from fourd.base.storage import Location
-    from fourd.scene.channels import Channels
+    from fourd.scene.outputs.channels import Channels
     from fourd.scene.playable import Playable
     from fourd.viewer.playback.prefetch import BakedFrameSource
 
@@ -70,7 +70,7 @@ class OutputWriter:
         background: tuple[float, float, float] | None,
         console: Console,
     ) -> None:
-        from fourd.scene.channels import ChannelPainter
+        from fourd.scene.outputs.channels import ChannelPainter
         from fourd.scene.meshes.playable import PlayableMeshes
         from fourd.viewer.playback.sources import open_frame_source
 
@@ -131,7 +131,7 @@ class OutputWriter:
         write_text_atomically(folder / DESCRIPTION, json.dumps(kept, indent=1))
 
     def _channels(self, camera: Camera, frame: int) -> Channels:
-        from fourd.scene.channels import mesh_channels
+        from fourd.scene.outputs.channels import mesh_channels
         from fourd.scene.meshes.playable import PlayableMeshes
 
         if isinstance(self._playable, PlayableMeshes):

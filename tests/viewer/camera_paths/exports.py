@@ -21,9 +21,7 @@ def cameras(count: int = 4) -> list[Camera]:
     focal = SIZE[1] / 2 / np.tan(np.radians(FOV_DEG) / 2)
     intrinsics = np.array([[focal, 0, SIZE[0] / 2], [0, focal, SIZE[1] / 2], [0, 0, 1]])
     angles = np.linspace(0, 2, count)
-    return [
-        look_at((3 * np.cos(a), 3 * np.sin(a), 0.7), (0, 0, 0), (0, 0, 1), intrinsics, *SIZE) for a in angles
-    ]
+    return [look_at((3 * np.cos(a), 3 * np.sin(a), 0.7), (0, 0, 0), (0, 0, 1), intrinsics, *SIZE) for a in angles]
 
 
 def camera_to_world(camera: Camera, rotation: np.ndarray | None = None, shift: np.ndarray | None = None) -> np.ndarray:

@@ -21,7 +21,9 @@ def around(count: int, seed: int) -> list[Pose]:
     """Random poses around the origin."""
     print(f"seed {seed}")
     rng = np.random.default_rng(seed)
-    return [facing(*rng.uniform(-3, 3, 2), float(rng.uniform(1, 2)), float(rng.uniform(0.3, 1.2))) for _ in range(count)]
+    return [
+        facing(*rng.uniform(-3, 3, 2), float(rng.uniform(1, 2)), float(rng.uniform(0.3, 1.2))) for _ in range(count)
+    ]
 
 
 def eyes(motion: Motion, times: np.ndarray) -> np.ndarray:
@@ -54,7 +56,9 @@ def test_the_motion_is_smooth(loop: float | None) -> None:
         before, at, after = (motion.at(np.array([seam + offset]))[0] for offset in (-1e-4, 0, 1e-4))
         np.testing.assert_allclose(after.eye - at.eye, at.eye - before.eye, atol=1e-5)
         np.testing.assert_allclose(after.rotation - at.rotation, at.rotation - before.rotation, atol=1e-5)
-        assert after.field_of_view - at.field_of_view == pytest.approx(at.field_of_view - before.field_of_view, abs=1e-5)
+        assert after.field_of_view - at.field_of_view == pytest.approx(
+            at.field_of_view - before.field_of_view, abs=1e-5
+        )
     if loop is not None:
         start, end = motion.at(np.array([1e-4]))[0], motion.at(np.array([loop - 1e-4]))[0]
         np.testing.assert_allclose(start.eye - poses[0].eye, poses[0].eye - end.eye, atol=1e-5)
