@@ -70,8 +70,8 @@ class OutputWriter:
         background: tuple[float, float, float] | None,
         console: Console,
     ) -> None:
-        from fourd.scene.outputs.channels import ChannelPainter
         from fourd.scene.meshes.playable import PlayableMeshes
+        from fourd.scene.outputs.channels import ChannelPainter
         from fourd.viewer.playback.sources import open_frame_source
 
         self._names = check_outputs(options)
@@ -131,8 +131,8 @@ class OutputWriter:
         write_text_atomically(folder / DESCRIPTION, json.dumps(kept, indent=1))
 
     def _channels(self, camera: Camera, frame: int) -> Channels:
-        from fourd.scene.outputs.channels import mesh_channels
         from fourd.scene.meshes.playable import PlayableMeshes
+        from fourd.scene.outputs.channels import mesh_channels
 
         if isinstance(self._playable, PlayableMeshes):
             return mesh_channels(self._playable.draw(camera, frame))
