@@ -1,8 +1,8 @@
 """Smooth motion through the poses of key frames.
 
 The shape of the path and the speed along it are separate, so that a change of the times of key frames does not change
-the shape. The shape is a curve over a parameter s: a natural cubic spline for the position and the field of view, and a
-spline of rotations with continuous angular velocity (:class:`scipy.spatial.transform.RotationSpline`). The spacing of
+the shape. The shape is a curve over a parameter s: a natural cubic spline for the position and the field of view, and
+cubic Bezier curves of quaternions (Shoemake 1985) with continuous angular velocity for the rotation. The spacing of
 the key frames in s is the square root of their distance (centripetal parameterisation), with which a spline makes no
 loops between key frames of uneven distances (Yuksel et al. 2011). A monotone cubic spline (PCHIP, Fritsch and Butland
 1984) maps times to s, so that the camera never moves backwards between two key frames.
@@ -12,12 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator
-from scipy.spatial.transform import Rotation, RotationSpline
+from scipy.spatial.transform import Rotation
 
 from fourd.viewer.navigation.pose import Pose
 
@@ -26,9 +27,6 @@ Easing = Literal["smooth", "stop", "cut"]
 
 _AT_REST = 1e-7
 """Two poses count as equal if their distance, see :func:`_steps`, is at most this value."""
-_WRAPPED = 3
-"""Number of key frames that are repeated at each end of a closed spline of rotations, which scipy does not offer. The
-influence of a key frame on the spline falls by a factor of 3.7 with each key frame between them."""
 
 
 class Motion:
@@ -76,7 +74,7 @@ class _Run:
     seconds: Array
     progress: CubicHermiteSpline | None
     values: CubicSpline | None
-    rotations: RotationSpline | None
+    rotations: _Turns | None
 
     @classmethod
     def fit(
@@ -86,17 +84,12 @@ class _Run:
             return cls(tuple(poses), seconds, None, None, None)
         s = np.concatenate([[0.0], np.cumsum(lengths)])
         values = np.stack([_to_vector(pose) for pose in poses])
-        turns = Rotation.from_matrix(np.stack([pose.rotation for pose in poses]))
+        rotations = _Turns.fit(s, np.stack([pose.rotation for pose in poses]), is_closed=is_closed)
         if is_closed:
             values[-1] = values[0]
             curve = CubicSpline(s, values, bc_type="periodic")
-            count = min(_WRAPPED, len(poses) - 1)
-            around = np.concatenate([s[-count - 1 : -1] - s[-1], s, s[1 : count + 1] + s[-1]])
-            order = [*range(len(poses) - 1 - count, len(poses) - 1), *range(len(poses)), *range(1, count + 1)]
-            rotations = RotationSpline(around, turns[order])
         else:
             curve = CubicSpline(s, values, bc_type="natural")
-            rotations = RotationSpline(s, turns)
         speeds = _speeds(seconds, s, is_closed=is_closed)
         speeds[[each == "stop" for each in easing]] = 0
         return cls(tuple(poses), seconds, CubicHermiteSpline(seconds, s, speeds), curve, rotations)
@@ -111,7 +104,56 @@ class _Run:
         if self.seconds[index] == time:
             return self.poses[index]
         s = float(self.progress(time))
-        return _from_vector(np.asarray(self.values(s)), self.rotations(s).as_matrix(), self.poses[index].up)
+        return _from_vector(np.asarray(self.values(s)), self.rotations.at(s), self.poses[index].up)
+
+
+@dataclass(frozen=True, eq=False)
+class _Turns:
+    """A smooth curve through rotations.
+
+    Attributes:
+        s: (N,) parameters of the rotations.
+        rotations: the rotations R_camera_world.
+        rates: (N, 3) angular velocities in camera axes, in radians per unit of s.
+    """
+
+    s: Array
+    rotations: tuple[Rotation, ...]
+    rates: Array
+
+    @classmethod
+    def fit(cls, s: Array, matrices: Array, *, is_closed: bool) -> _Turns:
+        """Each angular velocity is that of the parabola through a rotation and its neighbours. At an open end, the
+        angular acceleration is 0."""
+        turns = Rotation.from_matrix(matrices)
+        steps = np.diff(s)
+        means = (turns[1:] * turns[:-1].inv()).as_rotvec() / steps[:, None]
+        before, after = (means[:-1], steps[:-1, None]), (means[1:], steps[1:, None])
+        inner = (after[1] * before[0] + before[1] * after[0]) / (before[1] + after[1])
+        if is_closed:
+            seam = (steps[0] * means[-1] + steps[-1] * means[0]) / (steps[0] + steps[-1])
+            first = last = seam
+        elif len(inner) == 0:
+            first = last = means[0]
+        else:
+            first, last = 1.5 * means[0] - 0.5 * inner[0], 1.5 * means[-1] - 0.5 * inner[-1]
+        return cls(s, tuple(turns), np.concatenate([[first], inner, [last]]))
+
+    def at(self, s: float) -> Array:
+        """Return the rotation matrix (3, 3), by de Casteljau's algorithm with spherical interpolation."""
+        index = int(np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2))
+        step = float(self.s[index + 1] - self.s[index])
+        share = (s - float(self.s[index])) / step
+        start, end = self.rotations[index], self.rotations[index + 1]
+        leave, arrive = step / 3 * self.rates[index], -step / 3 * self.rates[index + 1]
+        points = [start, Rotation.from_rotvec(leave) * start, Rotation.from_rotvec(arrive) * end, end]
+        while len(points) > 1:
+            points = [_slerp(one, other, share) for one, other in pairwise(points)]
+        return points[0].as_matrix()
+
+
+def _slerp(start: Rotation, end: Rotation, share: float) -> Rotation:
+    return Rotation.from_rotvec(share * (end * start.inv()).as_rotvec()) * start
 
 
 def _speeds(seconds: Array, s: Array, *, is_closed: bool) -> Array:
