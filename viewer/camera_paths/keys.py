@@ -26,8 +26,8 @@ Array = NDArray[np.float64]
 
 MAX_SECONDS = 86400.0
 MAX_KEYS = 10_000
-MAX_IMAGES = 1_000_000
-"""Maximum number of images of a path. At 30 images per second, they are a video of nine hours."""
+MAX_IMAGES = 100_000
+"""Maximum number of images of a path. At 30 images per second, they are a video of 55 minutes."""
 
 
 @dataclass(frozen=True, eq=False)

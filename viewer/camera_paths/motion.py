@@ -63,7 +63,11 @@ class Motion:
     def at(self, seconds: Array) -> list[Pose]:
         """Return the poses at times (N,). Before the first key frame and after the last one, the camera rests."""
         numbers = np.clip(np.searchsorted(self._starts, seconds, side="right") - 1, 0, None)
-        return [self._runs[number].at(float(time)) for number, time in zip(numbers, seconds, strict=True)]
+        poses: dict[int, Pose] = {}
+        for number in np.unique(numbers):
+            chosen = np.flatnonzero(numbers == number)
+            poses |= dict(zip(chosen.tolist(), self._runs[number].at(seconds[chosen]), strict=True))
+        return [poses[index] for index in range(len(seconds))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,17 +98,19 @@ class _Run:
         speeds[[each == "stop" for each in easing]] = 0
         return cls(tuple(poses), seconds, CubicHermiteSpline(seconds, s, speeds), curve, rotations)
 
-    def at(self, time: float) -> Pose:
-        # The poses of key frames are returned as they are, without rounding errors.
-        if self.progress is None or self.values is None or self.rotations is None or time <= self.seconds[0]:
-            return self.poses[0]
-        if time >= self.seconds[-1]:
-            return self.poses[-1]
-        index = int(np.searchsorted(self.seconds, time, side="right")) - 1
-        if self.seconds[index] == time:
-            return self.poses[index]
-        s = float(self.progress(time))
-        return _from_vector(np.asarray(self.values(s)), self.rotations.at(s), self.poses[index].up)
+    def at(self, times: Array) -> list[Pose]:
+        if self.progress is None or self.values is None or self.rotations is None:
+            return [self.poses[0]] * len(times)
+        s = np.asarray(self.progress(np.clip(times, self.seconds[0], self.seconds[-1])), np.float64)
+        rotations, values = self.rotations.at(s), np.asarray(self.values(s), np.float64)
+        numbers = np.clip(np.searchsorted(self.seconds, times, side="right") - 1, 0, len(self.poses) - 1)
+        return [
+            # The poses of key frames are returned as they are, without rounding errors.
+            self.poses[number]
+            if time == self.seconds[number] or time <= self.seconds[0] or time >= self.seconds[-1]
+            else _from_vector(value, rotation, self.poses[number].up)
+            for number, time, value, rotation in zip(numbers, times, values, rotations, strict=True)
+        ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,12 +119,12 @@ class _Turns:
 
     Attributes:
         s: (N,) parameters of the rotations.
-        rotations: the rotations R_camera_world.
+        rotations: the N rotations R_camera_world.
         rates: (N, 3) angular velocities in camera axes, in radians per unit of s.
     """
 
     s: Array
-    rotations: tuple[Rotation, ...]
+    rotations: Rotation
     rates: Array
 
     @classmethod
@@ -137,23 +143,25 @@ class _Turns:
             first = last = means[0]
         else:
             first, last = 1.5 * means[0] - 0.5 * inner[0], 1.5 * means[-1] - 0.5 * inner[-1]
-        return cls(s, tuple(turns), np.concatenate([[first], inner, [last]]))
+        return cls(s, turns, np.concatenate([[first], inner, [last]]))
 
-    def at(self, s: float) -> Array:
-        """Return the rotation matrix (3, 3), by de Casteljau's algorithm with spherical interpolation."""
-        index = int(np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2))
-        step = float(self.s[index + 1] - self.s[index])
-        share = (s - float(self.s[index])) / step
-        start, end = self.rotations[index], self.rotations[index + 1]
-        leave, arrive = step / 3 * self.rates[index], -step / 3 * self.rates[index + 1]
-        points = [start, Rotation.from_rotvec(leave) * start, Rotation.from_rotvec(arrive) * end, end]
+    def at(self, s: Array) -> Array:
+        """Return the rotation matrices (M, 3, 3) at ``s`` (M,), by de Casteljau's algorithm with spherical
+        interpolation."""
+        numbers = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2)
+        steps = (self.s[numbers + 1] - self.s[numbers])[:, None]
+        shares = (s - self.s[numbers])[:, None] / steps
+        start, end = self.rotations[numbers], self.rotations[numbers + 1]
+        leave = Rotation.from_rotvec(steps / 3 * self.rates[numbers])
+        arrive = Rotation.from_rotvec(-steps / 3 * self.rates[numbers + 1])
+        points = [start, leave * start, arrive * end, end]
         while len(points) > 1:
-            points = [_slerp(one, other, share) for one, other in pairwise(points)]
+            points = [_slerp(one, other, shares) for one, other in pairwise(points)]
         return points[0].as_matrix()
 
 
-def _slerp(start: Rotation, end: Rotation, share: float) -> Rotation:
-    return Rotation.from_rotvec(share * (end * start.inv()).as_rotvec()) * start
+def _slerp(start: Rotation, end: Rotation, shares: Array) -> Rotation:
+    return Rotation.from_rotvec(shares * (end * start.inv()).as_rotvec()) * start
 
 
 def _speeds(seconds: Array, s: Array, *, is_closed: bool) -> Array:
