@@ -14,6 +14,7 @@ from fourd.base.configs import save_config
 from fourd.base.errors import UserError
 from fourd.scene.styles.presets import STYLE_SUFFIXES
 from fourd.viewer.camera_paths.editor import PathEditor
+from fourd.viewer.camera_paths.reading import OWN_SUFFIX
 from fourd.viewer.comparison.captured import is_capture
 from fourd.viewer.comparison.comparison import MODES, Comparison, Mode
 from fourd.viewer.comparison.placement import find_view
@@ -178,12 +179,14 @@ class ViewerState:
         self.path_editor = PathEditor()
 
     def open(self, path: Path) -> None:
-        """Open what the user has dropped on the window: a style file, a shade map, a scene, a run, or the capture of
-        the open scene."""
+        """Open what the user has dropped on the window: a style file, a shade map, a camera path, a scene, a run, or
+        the capture of the open scene."""
         if path.suffix in STYLE_SUFFIXES:
             self.session.choose_style(str(path))
         elif path.suffix.lower() == ".png":
             self.session.choose_shade_map(path)
+        elif path.name.endswith(OWN_SUFFIX):
+            self.session.message = self.path_editor.try_load(path)
         elif self.session.scene is not None and is_capture(path):
             self.comparison.set_folder(path)
             self.compare(MODES[1])

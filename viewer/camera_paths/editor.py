@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fourd.base.errors import UserError
 from fourd.viewer.camera_paths.keys import MAX_KEYS, KeyedPath, KeyFrame, evenly_spaced
 from fourd.viewer.camera_paths.motion import Easing
 from fourd.viewer.camera_paths.plan import played_frames
@@ -156,6 +157,14 @@ class PathEditor:
                 for key, step in zip(keys, steps, strict=True)
             )
         )
+
+    def try_load(self, source: Path) -> str:
+        """Load a file, and return a message for the user. If the file is not valid, the path does not change."""
+        try:
+            self.load(source)
+        except UserError as error:
+            return str(error)
+        return f"{source}: {len(self.keys)} key frames; press Y to play the path"
 
     def _set(self, keys: tuple[EditedKey, ...]) -> None:
         self.keys, self._path, self.playing_s = keys, None, None

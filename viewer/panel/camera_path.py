@@ -7,7 +7,6 @@ from typing import get_args
 
 from imgui_bundle import imgui
 
-from fourd.base.errors import UserError
 from fourd.viewer.camera_paths.editor import MAX_STEP_S, MIN_STEP_S, PathEditor
 from fourd.viewer.camera_paths.motion import Easing
 from fourd.viewer.camera_paths.reading import OWN_SUFFIX
@@ -43,7 +42,7 @@ def _draw(state: ViewerState) -> None:
         _draw_keys(state, editor)
         if imgui.button("Render to MP4##path"):
             state.defer(lambda: _render(state))
-    changed, state.typed_camera_path = imgui.input_text("file", state.typed_camera_path)
+    _, state.typed_camera_path = imgui.input_text("file", state.typed_camera_path)
 
 
 def _draw_keys(state: ViewerState, editor: PathEditor) -> None:
@@ -84,10 +83,10 @@ def _save(state: ViewerState) -> None:
 
 
 def _load(state: ViewerState) -> None:
-    try:
-        state.path_editor.load(Path(state.typed_camera_path))
-    except UserError as error:
-        state.session.message = str(error)
+    if not state.typed_camera_path:
+        state.session.message = "expected the name of a path file, got none; type it below, or drop it on the window"
+        return
+    state.session.message = state.path_editor.try_load(Path(state.typed_camera_path))
 
 
 def _render(state: ViewerState) -> None:

@@ -97,4 +97,6 @@ def test_a_recorded_path_becomes_key_frames(tmp_path: Path) -> None:
     kept = editor.keys
     with pytest.raises(UserError, match="expected a camera path, got 'no such file or directory'"):
         editor.load(tmp_path / "none.json")
+    assert editor.try_load(tmp_path / "none.json").startswith(f"{tmp_path / 'none.json'}: expected a camera path")
     assert editor.keys == kept
+    assert editor.try_load(tmp_path / "a.path.json").endswith(": 32 key frames; press Y to play the path")
