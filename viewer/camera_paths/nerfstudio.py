@@ -30,7 +30,12 @@ DEFAULT_TRANSITION_S = 2.0
 """Time between two key frames, if the file does not state it. nerfstudio's viewer suggests this value."""
 _MAX_KEYS = 32
 """Maximum number of key frames that are written."""
-_LENSES: dict[str, PathLens] = {"perspective": "pinhole", "fisheye": "fisheye", "equirectangular": "panorama"}
+_LENSES: dict[str, PathLens] = {
+    "perspective": "pinhole",
+    "fisheye": "fisheye",
+    "omnidirectional": "panorama",  # a stereo panorama, for which the user adds --stereo
+    "equirectangular": "panorama",
+}
 
 _Matrix = Annotated[tuple[Finite, ...], Meta(min_length=16, max_length=16)]
 _Degrees = Annotated[float, Meta(gt=0, lt=180)]
@@ -59,7 +64,7 @@ class _Head:
 
     render_height: _Pixels | None = None
     render_width: _Pixels | None = None
-    camera_type: Literal["perspective", "fisheye", "equirectangular"] = "perspective"
+    camera_type: Literal["perspective", "fisheye", "omnidirectional", "equirectangular"] = "perspective"
     fps: Annotated[float, Meta(gt=0, le=1000)] | None = None
     seconds: Annotated[float, Meta(ge=0, le=86400)] | None = None
     is_cycle: bool = False

@@ -71,9 +71,9 @@ class Arguments:
     """Write PNG files with an alpha channel instead of a background."""
     style: StyleName = None
     optics: LensOptions = field(default_factory=LensOptions)
-    eyes: StereoOptions = field(default_factory=StereoOptions)
-    channels: OutputOptions = field(default_factory=OutputOptions)
-    fps: Annotated[float | None, option("FLOAT", "the scene's")] = None
+    stereo_pairs: StereoOptions = field(default_factory=StereoOptions)
+    passes: OutputOptions = field(default_factory=OutputOptions)
+    fps: Annotated[float | None, option("FLOAT", "the path file's or the scene's")] = None
     """Frames per second of the video. If --frames selects every S-th frame, the default rate is divided by S."""
 
 
@@ -113,12 +113,12 @@ def _check(arguments: Arguments) -> None:
             raise UserError(f"{arguments.out}: expected --path for a path file, got none; add --path, or name a folder")
         require_distinct(arguments.out, [Path(arguments.path)])
     check_path_options(arguments.playing, arguments.path)
-    if check_outputs(arguments.channels):
+    if check_outputs(arguments.passes):
         if not is_folder:
             raise UserError(f"--outputs: expected a folder, got {arguments.out}; name a folder with --out")
-        if arguments.optics.is_used or arguments.style or arguments.transparent or arguments.eyes.stereo:
+        if arguments.optics.is_used or arguments.style or arguments.transparent or arguments.stereo_pairs.stereo:
             raise UserError("--outputs: expected no --lens, --style, --stereo and --transparent with it; remove them")
-    if arguments.style is not None and (arguments.optics.is_used or arguments.eyes.stereo):
+    if arguments.style is not None and (arguments.optics.is_used or arguments.stereo_pairs.stereo):
         name = "--lens" if arguments.optics.is_used else "--stereo"
         raise UserError(f"--style, {name}: expected one of them, got both; styles are not drawn through a lens")
     size, steps = arguments.size, arguments.steps
@@ -133,7 +133,7 @@ def _render(arguments: Arguments, source: Location, console: Console) -> str:
     keeps_paper = arguments.background is None and not arguments.transparent
     playable = open_source(source, arguments.style, keeps_paper=keeps_paper)
     frames = select_frames(playable, arguments.frames)
-    eyes = make_eyes(arguments.eyes, playable, console)
+    eyes = make_eyes(arguments.stereo_pairs, playable, console)
     if not _is_path_file(arguments.out) and is_video(arguments.out):
         require_video(arguments.out, arguments.fps or selected_rate(playable, frames))
     views = playable.views
@@ -145,10 +145,10 @@ def _render(arguments: Arguments, source: Location, console: Console) -> str:
             return "written"
     else:
         shots, fps = _from_views(arguments, playable, views, frames), selected_rate(playable, frames)
-    if arguments.channels.outputs is not None:
+    if arguments.passes.outputs is not None:
         return _write_outputs(
             arguments,
-            OutputWriter(arguments.channels, source, playable, arguments.layers, arguments.background, console),
+            OutputWriter(arguments.passes, source, playable, arguments.layers, arguments.background, console),
             shots,
             console,
         )
@@ -175,7 +175,7 @@ def _write_outputs(arguments: Arguments, writer: OutputWriter, shots: list[_Shot
     for shot in _track(shots, console):
         writer.write(arguments.out / shot.folder, shot.name, shot.camera, shot.frame)
     writer.describe(arguments.out)
-    return f"{count_text(len(shots), 'image')} of {', '.join(check_outputs(arguments.channels))}"
+    return f"{count_text(len(shots), 'image')} of {', '.join(check_outputs(arguments.passes))}"
 
 
 def _from_views(arguments: Arguments, playable: Playable, views: dict[str, Camera], frames: list[int]) -> list[_Shot]:

@@ -30,7 +30,7 @@ class StereoOptions:
     """Pairs of images for both eyes, in one image: the left eye's at the left or at the top. --size is the size of the
     image of one eye."""
 
-    stereo: Annotated[Literal["side-by-side", "top-bottom"] | None, option("LAYOUT", "none")] = None
+    stereo: Annotated[Literal["side-by-side", "top-bottom"] | None, option("{side-by-side,top-bottom}", "none")] = None
     """Render a stereo pair: side-by-side or top-bottom. With --lens panorama, the pair is an omnidirectional stereo
     panorama for headsets."""
     eye_distance: Annotated[float | None, RARE, option("FLOAT", "0.063 m, or 1/30 of the distance to the focus")] = None

@@ -39,8 +39,11 @@ def test_the_viewers_export_is_read(tmp_path: Path) -> None:
     assert [sample.frame for sample in path.samples] == [0, 2, 4, 7]
     assert (path.fps, path.size, path.lens, path.has_frames) == (2.0, SIZE, "pinhole", True)
     assert not path.notes
-    untimed = read_path(write(tmp_path / "a.json", {**export, "camera_path": export["camera_path"]}), SCENE)
-    assert untimed.has_frames
+    # The first viewer of nerfstudio stored the matrices of key frames as text.
+    keys = [{"matrix": str([1.0] * 16), "fov": 50, "aspect": 1.5, "properties": [["FOV", 50], ["NAME", "Camera 0"]]}]
+    old = read_path(write(tmp_path / "a.json", {**export, "keyframes": keys, "crop": {"crop_rot": []}}), SCENE)
+    assert_same_cameras(old, expected)
+    assert old.notes == ("crop: not used",)
     for image in export["camera_path"][:2]:
         del image["render_time"]
     assert not read_path(write(tmp_path / "a.json", export), SCENE).has_frames, "as ns-render, all or none"
