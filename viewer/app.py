@@ -119,6 +119,7 @@ class App:
         if scene is not None:
             state.show_scene(scene)
         has_news = session.advance(elapsed, is_held=state.comparison.is_reading)
+        state.follow_path(elapsed)
         was_active, self._was_active = self._was_active, not self._is_idle()
         # The image after the last change shows the end of a transition, or what a thread has just read.
         if not (has_news or was_active or self._was_active):
@@ -189,7 +190,7 @@ class App:
             return _LOADING_SECONDS
         if state.comparison.needs_image:
             return _READING_SECONDS
-        is_moving = session.is_moving or state.recorder is not None
+        is_moving = session.is_moving or state.recorder is not None or state.path_editor.is_playing
         if is_moving or state.renderer.is_stale or self._is_settling or self._images_left > 0:
             return 0.0
         if self._is_fading:
@@ -202,7 +203,7 @@ class App:
         is_active = (
             session.opening is not None or session.is_waiting or session.is_moving or session.playback.is_playing
         )
-        is_active |= state.comparison.needs_image
+        is_active |= state.comparison.needs_image or state.path_editor.is_playing
         is_changing = state.recorder is not None or state.renderer.is_stale or self._is_settling or self._is_fading
         is_changing |= state.is_panel_open and state.timings.images_per_second(time.monotonic()) > 0
         return not (is_active or is_changing or self._images_left > 0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +14,15 @@ from rich.progress import track
 
 from fourd.base.cameras import Camera
 from fourd.base.errors import UserError
+from fourd.viewer.camera_paths.plan import DEFAULT_SIZE, PathPlan, PathTiming, plan_path
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.loaded_scene import LoadedScene
-from fourd.viewer.navigation.paths import PathKind, camera_path, fit_camera
-from fourd.viewer.navigation.recorded_path import read_path_option
+from fourd.viewer.navigation.paths import fit_camera
 from fourd.viewer.output.png import with_alpha, write_png
 from fourd.viewer.output.video import write_video
 from fourd.viewer.playback.sources import open_frame_source
 from fourd.viewer.rendering.offscreen import OffscreenRenderer
 from fourd.viewer.rendering.renderers import RendererName
-
-DEFAULT_SIZE = (1280, 720)
-MIN_STEPS = 120
 
 
 @dataclass(frozen=True)
@@ -48,17 +45,16 @@ class Headless:
     def video(self, out: Path, path: str, steps: int | None, fps: float | None, console: Console) -> int:
         """Write a video of the scene along a camera path. The suffix of ``out`` determines the format.
 
-        ``path`` is "orbit", "spiral", "cameras" or a path file that was recorded in the window. A recorded path also
-        contains the index of the scene's frame that each image shows. On the other paths, the scene plays in a loop.
+        ``path`` is "orbit", "spiral", "cameras" or a path file, see :func:`~fourd.viewer.camera_paths.plan.plan_path`.
         Returns the number of images.
         """
         scene = LoadedScene(self.source, open_frame_source(self.source))
         try:
-            cameras, frames, path_fps = _cameras_along_path(scene, path, self.size or DEFAULT_SIZE, steps)
+            plan = _plan(scene, path, self.size, steps)
             with OffscreenRenderer(self.renderer) as renderer:
                 console.print(f"renderer: {renderer.choice.name} ({renderer.choice.reason})", soft_wrap=True)
-                views = track(list(zip(cameras, frames, strict=True)), description="render", console=console)
-                return write_video(out, self._render(scene, renderer, views), fps or path_fps)
+                views = track(list(zip(plan.cameras, plan.frames, strict=True)), description="render", console=console)
+                return write_video(out, self._render(scene, renderer, views), fps or plan.fps or scene.manifest.fps)
         finally:
             scene.close()
 
@@ -103,27 +99,10 @@ class Headless:
             yield renderer.render(RenderRequest(settings.scale_points(frame), camera, scene.manifest, settings.drawn))
 
 
-def _cameras_along_path(
-    scene: LoadedScene, path: str, size: tuple[int, int], steps: int | None
-) -> tuple[list[Camera], list[int], float]:
-    """Return the camera and the frame index of each video image, and the images per second. Raises UserError."""
-    manifest = scene.manifest
-    kinds: dict[str, PathKind] = {kind: kind for kind in get_args(PathKind)}
-    if path not in kinds:
-        recorded = read_path_option(path)
-        cameras = [sample.pose.camera(*size) for sample in recorded.samples]
-        last = manifest.frame_count - 1
-        return cameras, [min(max(sample.frame, 0), last) for sample in recorded.samples], recorded.fps
-    count = steps or max(MIN_STEPS, manifest.frame_count)
-    if manifest.cameras:
-        is_whole = manifest.background is not None
-        cameras = camera_path(
-            kinds[path], manifest.cameras, manifest.focus, count, size=size, is_whole=is_whole, bounds=manifest.bounds
-        )
-    else:
-        start = scene.initial_pose(size)
-        cameras = [start.orbit(2 * np.pi * step / count, 0.0).camera(*size) for step in range(count)]
-    return cameras, [step % manifest.frame_count for step in range(count)], manifest.fps
+def _plan(scene: LoadedScene, path: str, size: tuple[int, int] | None, steps: int | None) -> PathPlan:
+    """Return the images of a video. Raises UserError."""
+    start = None if scene.manifest.cameras else scene.initial_pose(size or DEFAULT_SIZE)
+    return plan_path(path, scene.path_scene, PathTiming(steps), size, start=start, default_size=DEFAULT_SIZE)
 
 
 def _select_camera(scene: LoadedScene, name: str | None, size: tuple[int, int] | None) -> Camera:

@@ -107,6 +107,13 @@ def _go_to_bookmark(index: int) -> Callable[[ViewerState], None]:
     return lambda state: state.move_to_bookmark(index)
 
 
+def add_key_frame(state: ViewerState) -> None:
+    """Add the view and the frame to the end of the camera path."""
+    session = state.session
+    if session.pose is not None:
+        session.message = state.path_editor.add(session.pose, session.playback.frame)
+
+
 def _next_renderer(state: ViewerState) -> None:
     name = RENDERERS[(RENDERERS.index(state.renderer.choice.name) + 1) % len(RENDERERS)]
     state.defer(lambda: state.switch_renderer(name))
@@ -164,6 +171,8 @@ SHORTCUTS = (
         "go to a bookmark",
         tuple((getattr(_Key, f"_{number}"), _go_to_bookmark(number - 1)) for number in range(1, MAX_BOOKMARKS + 1)),
     ),
+    Shortcut("K", "add this view to the camera path", ((_Key.k, lambda state: add_key_frame(state)),)),
+    Shortcut("Y", "play or stop the camera path", ((_Key.y, lambda state: state.path_editor.toggle()),)),
     Shortcut("T", "next style", ((_Key.t, _next_style),)),
     Shortcut("V", "compare with the capture", ((_Key.v, _next_comparison),)),
     Shortcut("M", "measure a distance", ((_Key.m, lambda state: state.measurement.toggle()),)),

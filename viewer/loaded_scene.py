@@ -11,6 +11,7 @@ import numpy as np
 from fourd.base.cameras import estimate_up
 from fourd.base.files import natural_key
 from fourd.scene import SceneManifest
+from fourd.viewer.camera_paths.scene import PathScene
 from fourd.viewer.navigation.pose import Pose, pose_facing, pose_from_camera
 from fourd.viewer.playback.prefetch import BUFFER_BYTES, MAX_FRAMES, MIN_FRAMES, BakedFrameSource, FramePrefetcher
 from fourd.viewer.playback.sources import RunSource
@@ -49,6 +50,19 @@ class LoadedScene:
     def camera_order(self) -> tuple[int, ...]:
         """Indices of the cameras in the order of their names. In the manifest, held-out cameras come last."""
         return tuple(sorted(range(len(self.manifest.names)), key=lambda index: natural_key(self.manifest.names[index])))
+
+    @property
+    def path_scene(self) -> PathScene:
+        """What camera paths need to know of the scene."""
+        manifest = self.manifest
+        return PathScene(
+            manifest.cameras,
+            np.asarray(manifest.focus),
+            manifest.frame_count,
+            manifest.fps,
+            manifest.bounds,
+            manifest.background is not None,
+        )
 
     @property
     def computed_share(self) -> float:

@@ -13,6 +13,8 @@ from fourd.base.cameras import nearest_views
 from fourd.base.configs import save_config
 from fourd.base.errors import UserError
 from fourd.scene.styles.presets import STYLE_SUFFIXES
+from fourd.viewer.camera_paths.editor import PathEditor
+from fourd.viewer.camera_paths.reading import OWN_SUFFIX
 from fourd.viewer.comparison.captured import is_capture
 from fourd.viewer.comparison.comparison import MODES, Comparison, Mode
 from fourd.viewer.comparison.placement import find_view_of_pose
@@ -53,8 +55,10 @@ class ViewerState:
         is_box_shown: whether the edges of the crop box are drawn, because the section Crop is open.
         camera_index: index of the capture camera that was selected last.
         bookmarks: the views of the scene that the user has kept.
+        path_editor: the camera path of key frames that the user makes.
         has_alpha: whether screenshots have an alpha channel instead of a background.
         typed_path: what the user has typed as the path of a scene to open.
+        typed_camera_path: what the user has typed as the file of a camera path.
     """
 
     def __init__(
@@ -74,12 +78,13 @@ class ViewerState:
         self.measurement = Measurement()
         self.recorder: PathRecorder | None = None
         self.recorded_path: RecordedPath | None = None
+        self.path_editor = PathEditor()
         self.notice = NoticeClock()
         self.is_help_open = False
         self.is_box_shown = False
         self.camera_index = 0
         self.has_alpha = False
-        self.typed_path = ""
+        self.typed_path = self.typed_camera_path = ""
         self._saved_views = SavedViews(default_file())
         self.bookmarks = Bookmarks(default_file().with_name("bookmarks.json"))
         self._preferences_file = PreferencesFile(default_file().with_name("window.json"))
@@ -172,14 +177,17 @@ class ViewerState:
         self.set_preferences(self.preferences.with_recent(scene.path))
         self.renderer.reset()
         self.recorded_path = self.recorder = None
+        self.path_editor = PathEditor()
 
     def open(self, path: Path) -> None:
-        """Open what the user has dropped on the window: a style file, a shade map, a scene, a run, or the capture of
-        the open scene."""
+        """Open what the user has dropped on the window: a style file, a shade map, a camera path, a scene, a run, or
+        the capture of the open scene."""
         if path.suffix in STYLE_SUFFIXES:
             self.session.choose_style(str(path))
         elif path.suffix.lower() == ".png":
             self.session.choose_shade_map(path)
+        elif path.name.endswith(OWN_SUFFIX):
+            self.session.message = self.path_editor.try_load(path)
         elif self.session.scene is not None and is_capture(path):
             self.comparison.set_folder(path)
             self.compare(MODES[1])
@@ -220,7 +228,7 @@ class ViewerState:
         style, name = self.session.settings.style, self.session.style_name
         if style is not None and name is not None:
             path = unused_path(Path(name).stem, ".yaml")
-            self._write(path, lambda: save_config(style, path))
+            self.write(path, lambda: save_config(style, path))
 
     def save_view(self) -> None:
         """Save the pose. When the scene is opened again, the viewer starts from this pose."""
@@ -302,7 +310,7 @@ class ViewerState:
             self.session.message = str(error)
             return
         path = unused_path(self.session.scene.path.stem, ".png")
-        self._write(path, lambda: write_png(path, image))
+        self.write(path, lambda: write_png(path, image))
 
     def _transparent_image(self, request: RenderRequest) -> NDArray[np.uint8]:
         """Return the image (H, W, 4) of a request without its background."""
@@ -328,13 +336,22 @@ class ViewerState:
             return
         self.recorded_path = recorded
         path = unused_path(self.session.scene.path.stem, ".path.json")
-        self._write(path, lambda: recorded.save(path))
+        self.write(path, lambda: recorded.save(path))
 
     def render_recorded_path(self) -> None:
         """Render the recorded path at the window's size to an MP4 in the working directory."""
         if self.recorded_path is not None and self.session.scene is not None:
             frames = self.session.scene.manifest.frame_count
             self._render(plan_recorded(self.recorded_path, self.window.framebuffer_size, frames), "")
+
+    def follow_path(self, seconds: float) -> None:
+        """Advance the camera path of key frames, if it is played, and show the view at its new time."""
+        sample = self.path_editor.advance(seconds)
+        if sample is not None:
+            self.session.set_pose(sample.pose)
+            if self.path_editor.has_frames:
+                self.session.playback.is_playing = False
+                self.session.playback.seek(sample.frame)
 
     def render_turntable(self) -> None:
         """Render a turn around the subject at the window's size to an MP4 in the working directory."""
@@ -356,12 +373,12 @@ class ViewerState:
         path = unused_path(self.session.scene.path.stem + suffix, ".mp4")
         images = render_images(self.window, self.session, self.renderer, path, plan)
         try:
-            self._write(path, lambda: write_video(path, images, plan.fps))
+            self.write(path, lambda: write_video(path, images, plan.fps))
         except Cancelled:
             self.session.message = f"{path}: cancelled, nothing was written"
         self.renderer.invalidate()
 
-    def _write(self, path: Path, write: Callable[[], object]) -> None:
+    def write(self, path: Path, write: Callable[[], object]) -> None:
         """Write a file and report the result in the session's message."""
         try:
             write()

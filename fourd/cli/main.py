@@ -31,7 +31,7 @@ COMMANDS = {
     "export": "runs.export",
     "pack": "scenes.pack",
     "edit": "scenes.edit",
-    "render": "scenes.render",
+    "render": "rendering.render",
     "view": "scenes.view",
     "web": "scenes.web",
     "serve": "scenes.serve",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -159,9 +159,8 @@ def open_playable(path: Location) -> Playable:
     return PlayableScene(open_scene(path))
 
 
-def find_view(playable: Playable, name: str) -> Camera:
-    """Return the capture camera ``name``. Raises a UserError that lists the valid names if there is no such camera."""
-    views = playable.views
+def find_view(views: Mapping[str, Camera], name: str) -> Camera:
+    """Return the camera ``name``. Raises a UserError that lists the valid names if there is no such camera."""
     if name not in views:
         raise UserError(f"--views: expected names out of {', '.join(views)}, got {name}")
     return views[name]
@@ -187,3 +186,12 @@ def selected_rate(playable: Playable, frames: Sequence[int]) -> float:
     """Return the frame rate at which the selected frames play at the speed of the recording. ``frames`` are evenly
     spaced frame indices."""
     return playable.fps if len(frames) < 2 else playable.fps / (frames[1] - frames[0])
+
+
+def metres_per_unit(playable: Playable) -> float | None:
+    """Return the length of a world unit in metres, or None if it is not known."""
+    if isinstance(playable, PlayableScene):
+        return playable.scene.manifest.metres_per_unit
+    if isinstance(playable, PlayableRun):
+        return playable.trained.run.capture.metres_per_unit
+    return None

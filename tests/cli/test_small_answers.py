@@ -127,9 +127,9 @@ def test_render_follows_a_recorded_path(scene: Path, tmp_path: Path, capsys: pyt
     with open_scene(scene) as opened:
         truth = opened.render(poses[2].camera(*size), 1).to_uint8()
     assert np.abs(np.asarray(Image.open(written[2])).astype(int) - truth).max() <= 1
-    assert "expected no --steps and no --frames" in printed(capsys, *words, "--steps", 3, code=2)
+    assert "expected no --frames, because the file says" in printed(capsys, *words, "--frames", "10:12", code=2)
     words[3] = "circle"
-    expected = "--path: expected orbit, spiral, cameras or a file recorded in the window, got 'circle'"
+    expected = "--path: expected orbit, spiral, cameras or a path file, got 'circle'"
     assert expected in printed(capsys, *words, code=2)
 
 

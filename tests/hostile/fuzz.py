@@ -29,8 +29,9 @@ from fourd.recording.capture.streams.matroska import missing_bytes
 from fourd.recording.capture.video_list import list_videos
 from fourd.recording.importing.formats import actorshq, anipose, caliscope, neural3dv, qualisys, transforms_json
 from fourd.scene.splats.reader import SplatReader
-from fourd.viewer.navigation.recorded_path import load_recorded_path
+from fourd.viewer.camera_paths.reading import read_path
 from tests.baking.scenes import read_frames
+from tests.viewer.camera_paths.exports import SCENE
 
 FOLDER = Path("build") / "fuzz"
 MAX_SECONDS = 60
@@ -49,6 +50,10 @@ def read_splats(path: Path) -> None:
     SplatReader(path).read(0)
 
 
+def read_camera_path(path: Path) -> None:
+    read_path(path, SCENE).with_count(3)
+
+
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "scene": ("a.4dv", read_scene),
     "points": ("a.ply", read_ply),
@@ -60,7 +65,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "videos": ("videos.json", lambda path: list_videos(path.parent)),
     "overlay": ("a.yaml", lambda path: load_overlay(TrainConfig(), path)),
     "board": ("a.toml", read_board),
-    "path": ("a.json", load_recorded_path),
+    "path": ("a.json", read_camera_path),
     "transforms": ("transforms.json", lambda path: transforms_json.read(path.parent)),
     "qualisys": ("a.qca.txt", qualisys.read_cameras),
     "anipose": ("a.toml", anipose.read_cameras),

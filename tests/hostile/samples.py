@@ -15,6 +15,7 @@ from fourd.base.configs import to_yaml
 from fourd.scene.exporting.export import ExportSettings, export_scene
 from fourd.scene.packing.pack import pack_scene
 from fourd.scene.rendering import open_scene
+from fourd.viewer.camera_paths.keys import KeyedPath, KeyFrame
 from fourd.viewer.navigation.pose import Pose
 from fourd.viewer.navigation.recorded_path import PathSample, RecordedPath
 from tests.baking.scenes import write_full_scene, write_scene
@@ -26,10 +27,12 @@ from tests.importing.formats.test_anipose import calibration_toml
 from tests.importing.formats.test_qualisys import camera_xml
 from tests.importing.test_layouts import caliscope_toml
 from tests.training.small import SMALL
+from tests.viewer.camera_paths.exports import camera_to_world, cameras, viewer_export, write
 
 CALISCOPE = "camera_array.toml"
 OUT = "OUT"
 """Placeholder for the path of the output in a command."""
+SMALL_IMAGES = "--size 32 24"
 RENDER = ("--path", "orbit", "--steps", "1", "--size", "32", "24", "-o", OUT)
 
 
@@ -56,8 +59,8 @@ class Samples:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self.all: list[Sample] = []
-        for write in (self._scenes, self._captures, self._videos, self._runs, self._settings, self._sources):
-            write()
+        for add in (self._scenes, self._captures, self._videos, self._runs, self._settings, self._sources):
+            add()
 
     def _add(self, name: str, file: str, *commands: str) -> Path:
         """Add a sample. Returns its folder."""
@@ -83,9 +86,14 @@ class Samples:
         path = self._add("camera path", "a.json", "view DIR/a.4dv --renderer cpu --headless OUT.mp4 --path FILE")
         pose = Pose(np.zeros(3), np.eye(3), 3.0, 0.7, np.array([0.0, 0.0, 1.0]), (0.0, 0.0))
         RecordedPath((PathSample(pose, 0), PathSample(pose, 1))).save(path / "a.json")
+        nerfstudio = self._add("nerfstudio's path", "a.json", f"render DIR/a.4dv --path FILE -o OUT {SMALL_IMAGES}")
+        matrices = [camera_to_world(camera) for camera in cameras(2)]
+        write(nerfstudio / "a.json", viewer_export(matrices, [0.0, 1.0]))
+        keys = self._add("key frames", "a.json", f"render DIR/a.4dv --path FILE -o OUT {SMALL_IMAGES}")
+        KeyedPath((KeyFrame(pose, 0.0, 0.0), KeyFrame(pose, 0.1, 1.0)), 10.0).save(keys / "a.json")
         style = self._add("style", "a.yaml", f"render DIR/a.4dv --style FILE {' '.join(RENDER)}")
         (style / "a.yaml").write_text("shading: toon\nlight: {direction: [0, 1, 1]}\nlines: {thickness: 2}\n")
-        for target in (path, style):
+        for target in (path, style, nerfstudio, keys):
             shutil.copy(folder / "a.4dv", target / "a.4dv")
 
     def _captures(self) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -22,9 +23,13 @@ from fourd.reconstruction.training.checkpoints import SavedProgress, load_checkp
 from fourd.recording.boards import read_board
 from fourd.recording.capture import frame_rate, video_list
 from fourd.recording.importing.record import RECORD, check_unpacked, read_record, write_record
-from fourd.viewer.navigation.recorded_path import load_recorded_path
+from fourd.viewer.camera_paths.keys import KeyedPath
+from fourd.viewer.camera_paths.path import CameraPath
+from fourd.viewer.camera_paths.reading import read_own_path, read_path
+from fourd.viewer.camera_paths.world import read_world
 from tests.properties.effort import EFFORTS
 from tests.properties.json_trees import Tree, changed_trees, trees
+from tests.viewer.camera_paths.exports import SCENE, camera_to_world, cameras, viewer_export
 
 DTYPES = (torch.float32, torch.float64, torch.float16, torch.int64, torch.uint8, torch.bool)
 
@@ -124,6 +129,15 @@ POSE = {
 }  # fmt: skip
 
 
+KEYS = [{**POSE, "seconds": 0.5, "easing": "stop"}, {**POSE, "seconds": 2, "pivot": [3, 1, 2], "easing": "smooth"}]
+NERFSTUDIO = viewer_export([camera_to_world(camera) for camera in cameras(2)], [0.0, 1.0])
+POSES = {
+    "w": 32, "h": 24, "fl_x": 30.0,
+    "frames": [{"file_path": "a.png", "transform_matrix": camera_to_world(cameras(2)[0]).tolist(), "time": 0.5}],
+}  # fmt: skip
+WORLD = [[1.0, 0, 0, 2], [0, 1, 0, 0], [0, 0, 1, 0]]
+
+
 def _read_import(folder: Path) -> None:
     record = read_record(folder)
     if record is not None:
@@ -138,6 +152,18 @@ def _list_videos(folder: Path) -> None:
     video_list.list_videos(folder)
 
 
+def _sample_keys(folder: Path) -> None:
+    path = read_own_path(folder / "a.json")
+    if isinstance(path, KeyedPath):
+        for sample in path.at(np.linspace(0, path.duration, 7)):
+            sample.pose.camera(16, 16)
+
+
+def _sample(path: CameraPath) -> None:
+    for sample in path.with_count(3).samples:
+        sample.pose.camera(16, 16)
+
+
 READERS: dict[str, tuple[str, Tree, Callable[[Path], object]]] = {
     "frame rate": (frame_rate.NAME, {"version": 1, "fps": "30000/1001"}, frame_rate.read_rate),
     "clock": (video_list.NAME, VIDEOS, lambda folder: video_list.read_clock(folder / video_list.NAME)),
@@ -149,8 +175,12 @@ READERS: dict[str, tuple[str, Tree, Callable[[Path], object]]] = {
     "camera path": (
         "a.json",
         {"format": "fourd-path", "version": 1, "fps": 30.0, "stops": [POSE]},
-        lambda folder: load_recorded_path(folder / "a.json"),
+        lambda folder: read_own_path(folder / "a.json"),
     ),
+    "key frames": ("a.json", {"format": "fourd-path", "version": 2, "fps": 30.0, "keys": KEYS}, _sample_keys),
+    "nerfstudio's path": ("a.json", NERFSTUDIO, lambda folder: _sample(read_path(folder / "a.json", SCENE))),
+    "poses": ("transforms.json", POSES, lambda folder: _sample(read_path(folder / "transforms.json", SCENE))),
+    "world": ("a.json", {"transform": WORLD, "scale": 0.5}, lambda folder: read_world([folder / "a.json"])),
 }
 """File name, valid content, and a function that reads the file in a folder."""
 

@@ -160,9 +160,10 @@ def pose_facing(eye: Array, pivot: Array, up: Array, field_of_view: float) -> Po
     return Pose(pivot, camera.rotation, float(np.linalg.norm(pivot - eye)), field_of_view, up)
 
 
-def interpolate_poses(start: Pose, end: Pose, fraction: float) -> Pose:
-    """Interpolate from pose ``start`` to pose ``end`` at ``fraction`` in [0, 1], with smoothstep easing."""
-    t = fraction * fraction * (3 - 2 * fraction)
+def interpolate_poses(start: Pose, end: Pose, fraction: float, *, is_eased: bool = True) -> Pose:
+    """Interpolate from pose ``start`` to pose ``end`` at ``fraction`` in [0, 1], with smoothstep easing unless
+    ``is_eased`` is False."""
+    t = fraction * fraction * (3 - 2 * fraction) if is_eased else fraction
     if fraction >= 1:
         return end
     total = np.asarray(cv2.Rodrigues(end.rotation @ start.rotation.T)[0], np.float64).ravel()

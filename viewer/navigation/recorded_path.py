@@ -1,23 +1,22 @@
-"""Records camera paths, and reads and writes their files. Each sample of a path is a pose and a frame index."""
+"""Records camera paths image by image. Each sample of a path is a pose and a frame index."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-from fourd.base.errors import UserError
 from fourd.base.files import write_text_atomically
-from fourd.base.json_file import read_json_as
-from fourd.viewer.navigation.paths import PathKind
+from fourd.base.json_file import decode_json
 from fourd.viewer.navigation.pose import Pose
 from fourd.viewer.navigation.saved_views import StoredPose, pose_to_json
 
 RECORDED_FPS = 30.0
-_MAX_BYTES = 256 << 20
+MAX_PATH_BYTES = 256 << 20
+"""Maximum size of a path file in bytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,25 +81,7 @@ class PathRecorder:
         return RecordedPath(tuple(self._samples))
 
 
-def read_path_option(path: str) -> RecordedPath:
-    """Load the file that the option --path names, and that the caller has found not to be a name of a path.
-
-    Raises:
-        UserError: if there is no such file, or if it is not a path.
-    """
-    if not Path(path).exists():
-        names = ", ".join(get_args(PathKind))
-        raise UserError(f"--path: expected {names} or a file recorded in the window, got '{path}'")
-    return load_recorded_path(Path(path))
-
-
-def load_recorded_path(path: Path) -> RecordedPath:
-    """Read a recorded path. Raises UserError, which names the file and the fix, if the file is not valid."""
-    try:
-        stored = read_json_as(path, _StoredPath, _MAX_BYTES)
-        return RecordedPath(tuple(PathSample(stop.pose(), stop.frame) for stop in stored.stops), stored.fps)
-    except OSError as error:
-        reason = (error.strerror or "").lower()
-        raise UserError(f"{path}: expected a camera path, got '{reason}'; check the file") from error
-    except ValueError as error:
-        raise UserError(f"{path}: expected a camera path recorded by the viewer, got another file ({error})") from error
+def recording_from_json(content: Any) -> RecordedPath:
+    """Convert the JSON of :meth:`RecordedPath.save`. Raises ValueError for other content."""
+    stored = decode_json(content, _StoredPath)
+    return RecordedPath(tuple(PathSample(stop.pose(), stop.frame) for stop in stored.stops), stored.fps)

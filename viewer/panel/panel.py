@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from imgui_bundle import imgui
 
+from fourd.viewer.panel.camera_path import CAMERA_PATH
 from fourd.viewer.panel.comparison import COMPARISON
 from fourd.viewer.panel.crop import CROP
 from fourd.viewer.panel.display import DISPLAY
@@ -15,7 +16,7 @@ from fourd.viewer.panel.style import STYLE
 from fourd.viewer.panel.viewpoint import VIEWPOINT
 from fourd.viewer.state import ViewerState
 
-SECTIONS: tuple[Section, ...] = (SCENE, VIEWPOINT, STYLE, OUTPUT, COMPARISON, CROP, DISPLAY, RENDERER)
+SECTIONS: tuple[Section, ...] = (SCENE, VIEWPOINT, STYLE, OUTPUT, CAMERA_PATH, COMPARISON, CROP, DISPLAY, RENDERER)
 """The sections of the panel, from top to bottom."""
 
 _LABEL_WIDTH = 96.0

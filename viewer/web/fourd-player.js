@@ -7,6 +7,7 @@ import { ByteSource } from "./scene/byte_source.js";
 import { ChangedError, SceneError, describeError } from "./scene/errors.js";
 import { SceneFile } from "./scene/scene_file.js";
 import { Panel } from "./ui/panel.js";
+import { PathControls } from "./ui/path_controls.js";
 import { addShortcuts } from "./ui/shortcuts.js";
 import { StyleMenu } from "./ui/style_menu.js";
 import { STYLE } from "./ui/style.js";
@@ -57,6 +58,7 @@ export class FourdPlayer extends HTMLElement {
     /** Whether a part of the element is in the window. Otherwise, the scene neither plays nor draws. */
     this.isInView = true;
     this.styleMenu = new StyleMenu(this);
+    this.cameraPath = new PathControls(this);
     this.controls = new Controls(this.panel.canvas, this, () => this.stage?.pose ?? null, (pose) => this.stage?.setPose(pose));
     /** Shows the view of a link that the user opens in the page that is already open. */
     this.followLink = () => this.#follow(location.hash);
@@ -319,6 +321,7 @@ export class FourdPlayer extends HTMLElement {
       }
       try {
         this.controls.update(elapsed);
+        this.cameraPath.update(elapsed);
         stage.update(now, elapsed);
       } catch (error) {
         this.#fail(error);

@@ -59,7 +59,7 @@ class Arguments:
     headless: Annotated[Path | None, WRITES, option("FILE.{mp4,webm,gif}", "none")] = None
     """Render a video to this .mp4 (H.264), .webm (VP9) or .gif file, without opening a window."""
     path: Annotated[str, tyro.conf.arg(metavar="{orbit,spiral,cameras,FILE.json}")] = "orbit"
-    """Camera path of the --headless video. FILE.json is a path that was recorded in the window."""
+    """Camera path of the --headless video. FILE.json is any path file that fourd render takes."""
     steps: Annotated[int | None, option("INT", "120, or the number of frames if that is larger")] = None
     """Number of images in the --headless video. The scene advances by one frame per image and plays in a loop."""
     fps: Annotated[float | None, option("FLOAT", "the scene's")] = None

@@ -116,20 +116,24 @@ def read_calibration(folder: Path | str) -> dict[str, Calibration]:
     return require_calibration(folder).calibrations
 
 
-def require_calibration(folder: Path | str) -> CalibrationReport:
+def require_calibration(
+    folder: Path | str, files: tuple[Path | str, Path | str] = (INTRINSICS_NAME, EXTRINSICS_NAME)
+) -> CalibrationReport:
     """Read the calibrations like :func:`read_calibration`, with the cameras that were left out. Raises the same
-    errors."""
-    report = check_calibration(folder)
+    errors. ``files`` are the paths of the two files in the folder, if they have other names."""
+    report = check_calibration(folder, files)
     if report.errors:
         raise report.errors[0]
     return report
 
 
-def check_calibration(folder: Path | str) -> CalibrationReport:
-    """Read the calibrations like :func:`read_calibration`, but collect all errors instead of raising the first."""
+def check_calibration(
+    folder: Path | str, files: tuple[Path | str, Path | str] = (INTRINSICS_NAME, EXTRINSICS_NAME)
+) -> CalibrationReport:
+    """Read the calibrations like :func:`require_calibration`, but collect all errors instead of raising the first."""
     errors: list[UserError] = []
     storages = []
-    for file in (INTRINSICS_NAME, EXTRINSICS_NAME):
+    for file in files:
         try:
             storages.append(_Storage(Path(folder) / file))
         except UserError as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from fourd.base.cameras import Camera
 
 Array = NDArray[np.float64]
+
+_POLES = np.radians(60), np.radians(75)
+"""Latitudes, in radians, between which the distance of the eyes of a stereo panorama falls to 0."""
 
 
 @dataclass(frozen=True)
@@ -85,11 +88,18 @@ class Panorama:
     180 degrees from top to bottom. The viewing direction is in the middle. VR headset viewers can open equirectangular
     images.
 
+    For one eye of a stereo panorama, the rays of each column start where this eye is while the head looks in the
+    direction of the column (omnidirectional stereo, Peleg et al. 2001). Towards the poles, where such images of the two
+    eyes do not match, both eyes move to the middle of the head.
+
     Attributes:
         samples: number of rays along each side of a pixel. A pixel has samples * samples rays.
+        eye_right: distance of the eye to the right of the middle of the head, in world units; negative for the left
+            eye, 0 for a panorama without stereo.
     """
 
     samples: int = 1
+    eye_right: float = 0.0
 
     def rays(self, camera: Camera) -> RayBundle:
         """Return the rays of a panorama with the position, axes and image size of ``camera``."""
@@ -99,7 +109,14 @@ class Panorama:
         local = np.stack(
             [np.cos(latitude) * np.sin(longitude), np.sin(latitude), np.cos(latitude) * np.cos(longitude)], 1
         )
-        return _from_centre(camera, local, pixels)
+        rays = _from_centre(camera, local, pixels)
+        if self.eye_right == 0:
+            return rays
+        start, end = _POLES
+        towards_pole = np.clip((np.abs(latitude) - start) / (end - start), 0, 1)
+        offset = self.eye_right * (0.5 + 0.5 * np.cos(np.pi * towards_pole))
+        right = np.stack([np.cos(longitude), np.zeros_like(longitude), -np.sin(longitude)], 1)
+        return replace(rays, origins=camera.centre + offset[:, None] * right @ camera.rotation)
 
 
 @dataclass(frozen=True)

@@ -72,10 +72,14 @@ class PlayableMeshes:
         self, camera: Camera, frame: int, layers: int | None, background: NDArray[np.float32]
     ) -> NDArray[np.float32]:
         """Render a frame as RGB (H, W, 3) float32 in [0, 1]. ``layers`` has no effect, because meshes are opaque."""
-        buffer = draw_mesh(self._read(frame), camera)
+        buffer = self.draw(camera, frame)
         if self._style is None or self._table is None:
             return np.clip(buffer.picture(background), 0, 1).astype(np.float32)
         return self._stylize(buffer, camera, self._style, self._table, background)
+
+    def draw(self, camera: Camera, frame: int) -> GeometryBuffer:
+        """Draw the colours, depths and normals of a frame."""
+        return draw_mesh(self._read(frame), camera)
 
     def _stylize(
         self,

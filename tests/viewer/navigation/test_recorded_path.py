@@ -12,6 +12,7 @@ import pytest
 
 from fourd.base.errors import UserError
 from fourd.base.json_file import decode_json
+from fourd.viewer.camera_paths.reading import read_own_path
 from fourd.viewer.navigation import saved_views
 from fourd.viewer.navigation.pose import Pose, pose_facing
 from fourd.viewer.navigation.recorded_path import (
@@ -19,7 +20,6 @@ from fourd.viewer.navigation.recorded_path import (
     PathRecorder,
     PathSample,
     RecordedPath,
-    load_recorded_path,
 )
 from fourd.viewer.navigation.saved_views import SavedViews, StoredPose, pose_to_json
 
@@ -59,7 +59,7 @@ def test_a_recorded_path_survives_the_round_trip(tmp_path: Path) -> None:
     """Catches path files with rounded numbers, with frames at the wrong poses, or without the frame rate."""
     recorded = RecordedPath(tuple(PathSample(make_pose(seed), 7 * seed % 5) for seed in range(20)), fps=24.5)
     recorded.save(tmp_path / "new folder" / "a.path.json")
-    loaded = load_recorded_path(tmp_path / "new folder" / "a.path.json")
+    loaded = read_own_path(tmp_path / "new folder" / "a.path.json")
     assert loaded.fps == 24.5
     assert len(loaded.samples) == 20
     for got, expected in zip(loaded.samples, recorded.samples, strict=True):
@@ -177,7 +177,7 @@ def test_a_missing_file_and_a_folder_raise_a_user_error(tmp_path: Path) -> None:
 
 def assert_rejected(path: Path) -> None:
     with pytest.raises(UserError) as raised:
-        load_recorded_path(path)
+        read_own_path(path)
     message = str(raised.value)
     assert message.startswith(f"{path}: expected ")
     assert "\n" not in message

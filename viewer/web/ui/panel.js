@@ -15,6 +15,8 @@ const HELP = [
   ["N, P", "next camera, previous camera"],
   ["0", "initial view"],
   ["L", "loop"],
+  ["K", "add this view to the camera path"],
+  ["Y", "play or stop the camera path"],
   ["T", "next style"],
   ["F", "full screen"],
   ["C", "copy a link to this view"],
@@ -54,6 +56,9 @@ export class Panel {
     this.shoot = button("save", "Save the image (I)");
     this.link = button("link", "Copy a link to this view (C)");
     this.link.classList.add("link");
+    this.addKey = button("addKey", "Add this view to the camera path (K)");
+    this.playPath = button("playPath", "Play or stop the camera path (Y)");
+    this.savePath = button("savePath", "Save the camera path");
     this.full = button("full", "Full screen (F)");
     this.vr = button("vr", "Enter VR");
     this.vr.hidden = true;
@@ -61,7 +66,8 @@ export class Panel {
     this.bar = element("div", { className: "bar" });
     // Controls without room in a narrow player. The button `more` shows them in a row above the others.
     this.extra = element("div", { className: "extra", id: "extra" });
-    this.extra.append(this.loop, this.speed, this.camera, this.styles, this.shoot, this.link, this.question);
+    this.extra.append(this.loop, this.speed, this.camera, this.styles, this.addKey, this.playPath, this.savePath);
+    this.extra.append(this.shoot, this.link, this.question);
     this.more = button("more", "More controls");
     this.more.classList.add("more");
     this.more.setAttribute("aria-controls", this.extra.id);

@@ -22,6 +22,8 @@ export function addShortcuts(player) {
     KeyF: () => player.toggleFullScreen(),
     KeyC: () => player.copyLink(),
     KeyI: () => player.saveImage(),
+    KeyK: () => player.cameraPath.add(),
+    KeyY: () => player.cameraPath.toggle(),
     KeyT: () => nextStyle(player),
     KeyH: () => toggleHelp(player),
     F1: () => toggleHelp(player),

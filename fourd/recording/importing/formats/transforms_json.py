@@ -82,10 +82,7 @@ def read(source: Path) -> Imported:
         data = json.loads(read_file(path))
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: expected JSON, got '{error}'; export it again") from error
-    listed = data.get("frames") if isinstance(data, dict) else None
-    if not isinstance(listed, list) or not listed or not all(isinstance(entry, dict) for entry in listed):
-        raise UserError(f"{path}: expected a list 'frames' of entries with poses, got none; export it again")
-    entries = [_entry(path, _Values(f"{path}: entry {index}", entry, data)) for index, entry in enumerate(listed)]
+    entries = [_entry(path, values) for values in _list_entries(path, data)]
     timed = sum(entry.time is not None for entry in entries)
     if timed not in (0, len(entries)):
         raise UserError(
@@ -112,6 +109,39 @@ def read(source: Path) -> Imported:
     if unmasked and masked:
         notes.append(f"mattes of some cameras are not imported, because entries have none: {', '.join(unmasked)}")
     return Imported(tuple(cameras), tuple(notes))
+
+
+def read_poses(path: Path, data: object) -> list[tuple[Camera, float | None]]:
+    """Return the camera and the time of each entry of a transforms.json, in the order of the file. Images are read only
+    to find sizes that the file does not state.
+
+    Args:
+        path: the file, for messages and for the places of images.
+        data: its parsed content.
+
+    Raises:
+        UserError: like :func:`read`.
+    """
+    found: list[tuple[Camera, float | None]] = []
+    for values in _list_entries(path, data):
+        picture = path.parent
+        if values.get("w") is None or values.get("h") is None:
+            _, picture = _find_picture(path, f"{values.where}: file_path", values.entry.get("file_path"))
+        time = None if values.entry.get("time") is None else values.number("time")
+        found.append((_make_camera(values, picture), time))
+    return found
+
+
+def _list_entries(path: Path, data: object) -> list[_Values]:
+    listed = data.get("frames") if isinstance(data, dict) else None
+    if (
+        not isinstance(data, dict)
+        or not isinstance(listed, list)
+        or not listed
+        or not all(isinstance(entry, dict) for entry in listed)
+    ):
+        raise UserError(f"{path}: expected a list 'frames' of entries with poses, got none; export it again")
+    return [_Values(f"{path}: entry {index}", entry, data) for index, entry in enumerate(listed)]
 
 
 def _entry(path: Path, values: _Values) -> _Entry:

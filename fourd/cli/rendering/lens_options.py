@@ -50,9 +50,10 @@ class LensOptions:
         return self.lens is not None or self.mirror_floor or self.glass_ball is not None
 
 
-def make_lens(options: LensOptions, camera: Camera, focus: NDArray[np.float64]) -> Lens:
+def make_lens(options: LensOptions, camera: Camera, focus: NDArray[np.float64], eye_right: float = 0.0) -> Lens:
     """Return the lens that the options describe. The default focus distance of a thin lens is the depth of the scene's
-    focus point ``focus`` in ``camera``, and the default aperture is proportional to the focus distance.
+    focus point ``focus`` in ``camera``, and the default aperture is proportional to the focus distance. A panorama is
+    that of an eye at ``eye_right``, see :class:`~fourd.scene.lenses.lens.Panorama`.
 
     Raises:
         UserError: if an option is out of range.
@@ -65,7 +66,7 @@ def make_lens(options: LensOptions, camera: Camera, focus: NDArray[np.float64]) 
     if options.lens == "fisheye":
         return Fisheye(options.fov, samples or 2)
     if options.lens == "panorama":
-        return Panorama(samples or 2)
+        return Panorama(samples or 2, eye_right)
     if options.lens != "thin-lens":
         return Pinhole(samples or 2)
     distance = (

@@ -1,0 +1,1 @@
+"""The command `fourd render` and its options."""

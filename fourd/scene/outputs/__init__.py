@@ -1,0 +1,1 @@
+"""Images for compositing: opacity, depth and normals of points and meshes."""
