@@ -76,6 +76,7 @@ BASES = {
     "eval": ("ABSENT",),
     "export": ("SCENE", "--to", "ply", "-o", "OUT"),
     "pack": ("SCENE", "-o", "OUT.4dv"),
+    "edit": ("SCENE", "-o", "OUT.4dv"),
     "render": ("SCENE", "--path", "orbit", "--steps", "1", "--size", "32", "24", "-o", "OUT"),
     "view": ("SCENE", "--renderer", "cpu", "--headless", "OUT.mp4", "--steps", "1", "--size", "32", "24"),
     "web": ("SCENE", "-o", "OUT"),
