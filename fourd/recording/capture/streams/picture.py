@@ -19,7 +19,6 @@ from functools import cache
 from typing import Any
 
 import av
-import cv2
 import numpy as np
 from av.video.reformatter import ColorRange, Colorspace, ColorTrc
 from numpy.typing import NDArray
@@ -104,6 +103,8 @@ def to_rgb(frame: av.VideoFrame, turn: int, transfer: str, size: tuple[int, int]
     else:
         rgb = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
     if rgb.shape[1::-1] != size:
+        import cv2  # Only here, so that a video is described without the import of OpenCV.
+
         is_smaller = size[0] <= rgb.shape[1] and size[1] <= rgb.shape[0]
         rgb = np.asarray(
             cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if is_smaller else cv2.INTER_CUBIC), np.uint8
@@ -140,6 +141,8 @@ def _hdr_signal(frame: av.VideoFrame) -> Floats:
 
 def _tone_map(signal: Floats, transfer: str) -> Picture:
     """Convert a non-linear HDR signal (H, W, 3) in [0, 1] with BT.2020 primaries to sRGB (H, W, 3) uint8."""
+    import cv2
+
     light, encoded, hlg_gain = _tables(transfer)
     linear = light[np.round(signal * (LEVELS - 1)).astype(np.int32)]
     if transfer == HLG:
