@@ -32,11 +32,13 @@ class SolidSubject:
     Attributes:
         moments: indices of the sampled frames in which the points were measured.
         points: one array (N, 3) for each moment, in world units.
+        resting: one array (N, 3) for each moment but the last: points that stay until the next moment.
         spacing: largest distance between neighbouring points on a surface, in world units.
     """
 
     moments: tuple[int, ...]
     points: tuple[Array, ...]
+    resting: tuple[Array, ...]
     spacing: float
 
     @staticmethod
@@ -46,10 +48,10 @@ class SolidSubject:
         Returns:
             the subject, or None if no point belongs to it.
         """
-        points = find_subject_points(moments.points, cameras, regions)
-        if not sum(len(xyz) for xyz in points):
+        found = find_subject_points(moments.points, cameras, regions)
+        if not sum(len(xyz) for xyz in found.moments):
             return None
-        return SolidSubject(moments.frames, tuple(points), SPACING_SHARE * reach(cameras))
+        return SolidSubject(moments.frames, found.moments, found.resting, SPACING_SHARE * reach(cameras))
 
     def extend(self, box: tuple[Array, Array]) -> tuple[Array, Array]:
         """Return the smallest box, given by two corners (3,), that contains ``box`` and the points with a margin."""
@@ -81,9 +83,11 @@ class SolidSubject:
     def silhouettes(self, camera: Camera, count: int) -> Flags:
         """Return the masks (count, h, w) of the pixels that the points cover, one for each sampled frame.
 
-        Frames in which no points were measured have empty masks.
+        In a frame between two moments, these are the points that rest. Frames without points have empty masks.
         """
         masks = np.zeros((count, camera.height, camera.width), np.bool_)
+        for start, end, xyz in zip(self.moments, self.moments[1:], self.resting, strict=False):
+            masks[start + 1 : end] = point_silhouette(xyz, self.spacing, camera)
         for frame, xyz in zip(self.moments, self.points, strict=True):
             masks[frame] = point_silhouette(xyz, self.spacing, camera)
         return masks

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,28 +36,46 @@ MIN_COMPONENT = 100
 """Minimum number of points of an object."""
 MOVING_VIEWS = 0.9
 """A point moves if it lies in the moving region of at least this fraction of the cameras that see its place."""
-MIN_MOVING = 0.05
-"""An object belongs to the subject if at least this fraction of its points moves."""
+MIN_MOVING = 0.02
+"""An object belongs to the subject if at least this fraction of its points moves at one of the moments. Of a person who
+stands still and catches a ball, 4 to 6% of the points move at some moments, and none at others."""
+SAME_PLACE = 0.5
+"""Objects of two moments are the same, at rest, if their common voxels are at least this fraction of the larger one."""
 
 
-def find_subject_points(moments: Sequence[Array], cameras: Sequence[Camera], regions: Sequence[Flags]) -> list[Array]:
+@dataclass(frozen=True, eq=False)
+class SubjectPoints:
+    """Points on the subject in world units.
+
+    Attributes:
+        moments: one array (M, 3) for each moment.
+        resting: one array (M, 3) for each moment but the last: those of its points whose object is at the same place at
+            the next moment. They are on the subject at all times between these moments.
+    """
+
+    moments: tuple[Array, ...]
+    resting: tuple[Array, ...]
+
+
+def find_subject_points(moments: Sequence[Array], cameras: Sequence[Camera], regions: Sequence[Flags]) -> SubjectPoints:
     """Find the points of the subject at each moment.
 
-    Whoever stands still is found because a part of him moves: a head, a hand. Tables and lamps are inside the room too,
-    but they do not move, unless somebody stands between them and most cameras.
+    Whoever stands still is found because a part of him moves at one of the moments: a head, a hand. Tables and lamps
+    are inside the room too, but they do not move, unless somebody stands between them and most cameras.
 
     Args:
-        moments: points (N, 3) on all surfaces at each moment, in world units.
+        moments: points (N, 3) on all surfaces at each moment, in world units. The moments are in the order of time.
         cameras: the cameras of ``regions``.
         regions: (h, w) bool for each camera, true where something moves at any time of the recording.
 
     Returns:
-        one array (M, 3) for each moment; empty arrays if the cameras have no common focus.
+        the points of the subject; empty arrays if the cameras have no common focus.
     """
     centre = find_focus(list(cameras)) if len(cameras) > 1 else None
     everything = np.concatenate([np.zeros((0, 3)), *moments])
     if centre is None or not len(everything):
-        return [np.zeros((0, 3)) for _ in moments]
+        nothing = tuple(np.zeros((0, 3)) for _ in moments)
+        return SubjectPoints(nothing, nothing[1:])
     room = Room.around(centre, everything, cameras)
     distance = reach(cameras)
     voxel, tolerance = VOXEL_SHARE * distance, PLANE_TOLERANCE * distance
@@ -64,7 +83,12 @@ def find_subject_points(moments: Sequence[Array], cameras: Sequence[Camera], reg
     inside = [
         xyz[(room.depth_share(xyz) < MAX_DEPTH_SHARE) & ~_is_on(planes, xyz, tolerance).any(axis=1)] for xyz in moments
     ]
-    return [_moving_objects(xyz, voxel, cameras, regions) for xyz in inside]
+    objects = [_Objects.find(xyz, voxel, cameras, regions) for xyz in inside]
+    chosen = [each.subject(objects) for each in objects]
+    return SubjectPoints(
+        tuple(each.points(numbers) for each, numbers in zip(objects, chosen, strict=True)),
+        tuple(each.resting(numbers, after) for each, after, numbers in zip(objects, objects[1:], chosen, strict=False)),
+    )
 
 
 def _walls(xyz: Array, cameras: Sequence[Camera], tolerance: float) -> Array:
@@ -98,17 +122,72 @@ def reach(cameras: Sequence[Camera]) -> float:
     return median_distance(cameras, focus)
 
 
-def _moving_objects(xyz: Array, voxel: float, cameras: Sequence[Camera], regions: Sequence[Flags]) -> Array:
-    """Return the points (M, 3) of those objects among ``xyz`` (N, 3) of which a part moves."""
-    if not len(xyz):
-        return xyz
-    labels = _connected(xyz, voxel)
-    moving = _moving_share(xyz, cameras, regions) >= MOVING_VIEWS
-    counts = np.bincount(labels)
-    moves = np.bincount(labels, weights=moving, minlength=len(counts)) >= MIN_MOVING * counts
-    chosen = moves & (counts >= MIN_COMPONENT)
-    chosen[0] = False
-    return xyz[chosen[labels]]
+@dataclass(frozen=True, eq=False)
+class _Objects:
+    """The connected objects at a moment.
+
+    Attributes:
+        xyz: (N, 3) points.
+        cells: (N, 3) indices of the points' voxels.
+        labels: (N,) number of the object of each point.
+        moving: the share of the moving points of each object, by its number. Only objects of enough points are listed.
+        places: the voxels of each object, by its number.
+    """
+
+    xyz: Array
+    cells: NDArray[np.intp]
+    labels: NDArray[np.intp]
+    moving: dict[int, float]
+    places: dict[int, frozenset[tuple[int, ...]]]
+
+    @staticmethod
+    def find(xyz: Array, voxel: float, cameras: Sequence[Camera], regions: Sequence[Flags]) -> _Objects:
+        """Find the objects among the points ``xyz`` (N, 3)."""
+        if not len(xyz):
+            return _Objects(xyz, np.zeros((0, 3), np.intp), np.zeros(0, np.intp), {}, {})
+        labels = _connected(xyz, voxel)
+        moves = _moving_share(xyz, cameras, regions) >= MOVING_VIEWS
+        chosen = [number for number in np.flatnonzero(np.bincount(labels) >= MIN_COMPONENT).tolist() if number]
+        cells = np.floor(xyz / voxel).astype(np.intp)
+        return _Objects(
+            xyz,
+            cells,
+            labels,
+            {number: float(moves[labels == number].mean()) for number in chosen},
+            {number: frozenset(map(tuple, cells[labels == number].tolist())) for number in chosen},
+        )
+
+    def subject(self, moments: Sequence[_Objects]) -> list[int]:
+        """Return the numbers of those objects that move at one of the moments."""
+        return [
+            number
+            for number, share in self.moving.items()
+            if max([share, *(each.moving[same] for each in moments for same in self._same(number, each))]) >= MIN_MOVING
+        ]
+
+    def points(self, numbers: Sequence[int]) -> Array:
+        """Return the points (M, 3) of some of the objects."""
+        return self.xyz[np.isin(self.labels, numbers)]
+
+    def resting(self, numbers: Sequence[int], after: _Objects) -> Array:
+        """Return those points (M, 3) of some of the objects that are at the same place at another moment."""
+        kept = [np.zeros((0, 3))]
+        for number in numbers:
+            there = frozenset[tuple[int, ...]]().union(*(after.places[same] for same in self._same(number, after)))
+            if there:
+                of_object = self.labels == number
+                cells = map(tuple, self.cells[of_object].tolist())
+                kept.append(self.xyz[of_object][[cell in there for cell in cells]])
+        return np.concatenate(kept)
+
+    def _same(self, number: int, moment: _Objects) -> list[int]:
+        """Return the numbers of the objects of another moment that are at the place of an object."""
+        place = self.places[number]
+        return [
+            other
+            for other, where in moment.places.items()
+            if len(place & where) >= SAME_PLACE * max(len(place), len(where))
+        ]
 
 
 def _connected(xyz: Array, voxel: float) -> NDArray[np.intp]:
