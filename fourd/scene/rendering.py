@@ -107,6 +107,17 @@ class Scene:
             self._cache[index] = frame
         return frame
 
+    def dynamic_frame(self, index: int) -> BakedFrame:
+        """Return the points of a frame without those of the background. They are read at each call.
+
+        Raises IndexError if the scene has no such frame, and UserError if the file is damaged.
+        """
+        return self._reader.read_dynamic(index)
+
+    def background(self) -> BakedFrame | None:
+        """Return the static points, without shadows, or None if the scene has none. Raises UserError."""
+        return self._reader.read_background()
+
     def render(
         self,
         camera: Camera | str,

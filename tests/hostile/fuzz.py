@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from types import FunctionType
 
@@ -28,6 +29,7 @@ from fourd.recording.capture.decoding import decode_rgb
 from fourd.recording.capture.streams.matroska import missing_bytes
 from fourd.recording.capture.video_list import list_videos
 from fourd.recording.importing.formats import actorshq, anipose, caliscope, neural3dv, qualisys, transforms_json
+from fourd.scene.splats.dgs_reader import DgsReader
 from fourd.scene.splats.reader import SplatReader
 from fourd.viewer.camera_paths.reading import read_path
 from tests.baking.scenes import read_frames
@@ -50,6 +52,11 @@ def read_splats(path: Path) -> None:
     SplatReader(path).read(0)
 
 
+def read_moving_splats(path: Path) -> None:
+    with closing(DgsReader(path)) as reader:
+        reader.read(0)
+
+
 def read_camera_path(path: Path) -> None:
     read_path(path, SCENE).with_count(3)
 
@@ -59,6 +66,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "points": ("a.ply", read_ply),
     "splats": ("a.ply", read_splats),
     "raw-splats": ("a.splat", read_splats),
+    "moving-splats": ("a.4dgs", read_moving_splats),
     "calibration": ("intri.yml", lambda path: check_calibration(path.parent)),
     "picture": ("a.png", decode_rgb),
     "matroska": ("a.mkv", missing_bytes),

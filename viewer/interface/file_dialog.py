@@ -21,7 +21,7 @@ class FileDialog:
         if kind == "folder":
             self._dialog = portable_file_dialogs.select_folder("Open a run")
         else:
-            filters = ["Scenes", "*.4dv *.ply *.splat *.spz *.sog *.gltf *.glb", "All files", "*"]
+            filters = ["Scenes", "*.4dv *.4dgs *.ply *.splat *.spz *.sog *.gltf *.glb", "All files", "*"]
             self._dialog = portable_file_dialogs.open_file("Open a scene", "", filters)
 
     @property

@@ -19,6 +19,7 @@ from fourd.scene.packing.pack import pack_scene
 from fourd.scene.packing.transcode import transcode_scene
 from fourd.scene.packing.writer import Storage
 from fourd.scene.player import Player
+from fourd.scene.splats.reader import open_reader
 from fourd.scene.styles import Style
 from fourd.viewer.display import DEFAULT_BACKGROUND
 from fourd.viewer.navigation.paths import order_by_azimuth
@@ -48,7 +49,8 @@ def write_site(
     Zstandard.
 
     Args:
-        source: a `.4dv` file of any version.
+        source: a `.4dv` file of any version, a `.4dgs` file, or splats or points (a file or a folder with a file for
+            each frame).
         out: the folder to write. An earlier site in it is replaced.
         tier: tier (quality, such as "stream") in which the scene is packed, if it is not packed yet.
         title: title of the page, or None for the name of the source file.
@@ -87,7 +89,7 @@ def write_scene(
 ) -> None:
     """Write a scene in the form that browsers read: packed and compressed with zlib. The arguments are those
     of :func:`write_site`. Raises UserError."""
-    reader = SceneReader(source)
+    reader = open_reader(source)
     manifest = reader.manifest
     is_packed = manifest.encoding is not None
     reader.close()

@@ -54,19 +54,21 @@ class Arguments:
     to: Annotated[
         Format | None,
         describe(
-            "Write files for other programs, one for each frame.",
+            "Write files for other programs, one for each frame, or one for all frames with 4dgs.",
             "ply-sequence: Gaussian splats as 3DGS PLY. splat, spz, glb, usd: Gaussian splats in these formats.",
-            "ply: coloured points. spz and usd need `pip install 'fourd[splats]'`.",
+            "4dgs: Gaussian splats of all frames in one file. ply: coloured points. spz, usd and 4dgs need",
+            "`pip install 'fourd[splats]'`.",
         ),
-        option("{ply-sequence,splat,spz,glb,usd,ply}", "a .4dv file"),
+        option("{ply-sequence,splat,spz,glb,usd,4dgs,ply}", "a .4dv file"),
     ] = None
     frames: Frames = None
     """With --to: frames to export, by their numbers in the capture."""
-    degree: int = 2
-    """With --to: largest degree of the spherical harmonics, 0 to 3. The formats splat and ply support only degree 0."""
+    degree: Annotated[int | None, option("INT", "2, or 1 with 4dgs")] = None
+    """With --to: largest degree of the spherical harmonics, 0 to 3. The formats splat and ply support only degree 0.
+    The coefficients in 4dgs are so coarse that higher degrees add more noise than they improve."""
     keep_axes: bool = False
     """With --to: keep the scene's coordinates. Otherwise, the scene is rotated to the up axis that other programs
-    expect: +y for spz, glb and usd, and -y for the other formats of splats. The format ply always keeps the
+    expect: +y for spz, glb, usd and 4dgs, and -y for the other formats of splats. The format ply always keeps the
     coordinates."""
 
 
@@ -111,7 +113,7 @@ def _export(arguments: Arguments, kind: Format, console: Console) -> None:
 
     if arguments.tier is not None or arguments.max_mbps is not None:
         raise UserError("--to: expected no --tier and no --max-mbps, got at least one; they are for .4dv files")
-    if not 0 <= arguments.degree <= 3:
+    if not 0 <= (arguments.degree or 0) <= 3:
         raise UserError(f"--degree: expected 0 to 3, got {arguments.degree}")
     out = local_path(arguments.out, "export files for other programs")
     if not arguments.source.is_dir() or not (arguments.source / "config.yaml").exists():
@@ -131,7 +133,8 @@ def _write(arguments: Arguments, out: Path, kind: Format, scene: Scene, console:
     from fourd.scene.playable import PlayableScene, select_frames
 
     frames = select_frames(PlayableScene(scene), arguments.frames)
-    settings = ExportSettings(kind, frames, arguments.degree, arguments.keep_axes)
+    degree = (1 if kind == "4dgs" else 2) if arguments.degree is None else arguments.degree
+    settings = ExportSettings(kind, frames, degree, arguments.keep_axes)
     report = export_scene(scene, out, settings, Tracker(console).track)
     loss = "" if report.psnr is None else f"; PSNR of the colours against the scene: {report.psnr:.1f} dB"
     count = f"{len(frames)} frame{'s' if len(frames) > 1 else ''}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -59,7 +60,7 @@ class Arguments:
     """The type of the file or folder is detected from its content. No file is changed."""
 
     path: tyro.conf.Positional[Annotated[Location | None, READS, PATH_OR_URL, option("[FILE|DIR]", "none")]] = None
-    """A .4dv, .ply, .safetensors or video file, a capture folder or a run folder, or the URL of one."""
+    """A .4dv, .4dgs, .ply, .safetensors or video file, a capture folder or a run folder, or the URL of one."""
     system: bool = False
     """Describe this installation and this machine, for reports of problems."""
 
@@ -115,6 +116,8 @@ def _describe_file(path: Path) -> tuple[str, Rows]:
     # Scene files, also truncated ones, start with the bytes PK.
     if head.startswith(b"PK") or path.suffix == ".4dv":
         return "a 4D scene", _scene(path)
+    if path.suffix.lower() == ".4dgs":
+        return "Gaussian splats over time", _splats(path)
     if path.suffix.lower() == ".splat":
         return "Gaussian splats", _splats(path)
     if head.startswith((b"ply\n", b"ply\r")):
@@ -163,7 +166,7 @@ def _title(path: Path) -> str | None:
 
 def _unknown(path: Path) -> UserError:
     return UserError(
-        f"{path}: expected a .4dv, .ply, .safetensors or video file, a capture (images/, intri.yml, extri.yml) "
+        f"{path}: expected a .4dv, .4dgs, .ply, .safetensors or video file, a capture (images/, intri.yml, extri.yml) "
         "or a run (config.yaml), got none of these; name one of them"
     )
 
@@ -207,12 +210,14 @@ def _background(background: SceneBackground | None) -> Rows:
 
 
 def _splats(path: Path) -> Rows:
-    from fourd.scene.splats.reader import SplatReader
+    from fourd.scene.splats.reader import open_reader
 
-    manifest = SplatReader(path).manifest
+    with closing(open_reader(path)) as reader:
+        manifest = reader.manifest
     lower, upper = manifest.bounds
+    known = "" if manifest.is_fps_known else ", an assumed rate"
     return [
-        ("frames", str(manifest.frame_count)),
+        ("frames", f"{manifest.frame_count} at {format_rate(manifest.fps)} per second{known}"),
         ("points", f"{span_text(manifest.points)} per frame"),
         ("bounds of most points", f"{vector_text(lower)} to {vector_text(upper)}, in world units"),
     ]

@@ -117,10 +117,10 @@ def _choose(scene: Path, max_mbps: float, track: Track) -> Choice:
     """Choose how to encode an unpacked scene: the tier (option --tier: how colours are stored and how coarsely
     values are quantised) and, within the tier, the level (set of quantisation steps). The choice is the best quality
     that a web page can play without pauses over a connection of ``max_mbps`` Mbit/s."""
-    from fourd.scene.container import SceneReader
     from fourd.scene.packing.rate import choose_tier
+    from fourd.scene.splats.reader import open_reader
 
-    reader = SceneReader(scene)
+    reader = open_reader(scene)
     is_packed = reader.manifest.encoding is not None
     reader.close()
     if is_packed:

@@ -17,11 +17,13 @@ from fourd.base.progress import Track, untracked
 from fourd.recording.capture.layout import sample_indices
 from fourd.scene.colour_fit import viewpoints
 from fourd.scene.exporting import usd
+from fourd.scene.exporting.dgs import SceneClouds, write_dgs
 from fourd.scene.exporting.format import Format
 from fourd.scene.exporting.gltf import write_splat_glb
 from fourd.scene.rendering import Scene, render_frame
 from fourd.scene.scene import SceneManifest
 from fourd.scene.splats.cloud import SplatCloud, rotate_cloud
+from fourd.scene.splats.dgs_writer import require_fourdgs
 from fourd.scene.splats.frames import SPLAT_SH_BASE, SPLAT_SH_RANGE, SplatFit, frame_from_splats
 from fourd.scene.splats.ply import write_splat_ply
 from fourd.scene.splats.raw import write_splat
@@ -34,9 +36,10 @@ SUFFIXES: dict[Format, str] = {
     "spz": ".spz",
     "glb": ".glb",
     "usd": ".usdc",
+    "4dgs": ".4dgs",
     "ply": ".ply",
 }
-Y_UP: tuple[Format, ...] = ("spz", "glb", "usd")
+Y_UP: tuple[Format, ...] = ("spz", "glb", "usd", "4dgs")
 """File formats in which the up direction is +y. In the other formats of Gaussian splats, it is -y. The format "ply",
 which stores coloured points, keeps the scene's axes."""
 OTHER_FILES = frozenset(
@@ -52,8 +55,8 @@ class ExportSettings:
     """Settings of an export.
 
     Attributes:
-        format: "ply-sequence": Gaussian splats in the PLY files of 3D Gaussian Splatting. "splat", "spz", "glb" and
-            "usd": Gaussian splats in these formats. "ply": coloured points.
+        format: "ply-sequence": Gaussian splats in the PLY files of 3D Gaussian Splatting. "splat", "spz", "glb",
+            "usd" and "4dgs": Gaussian splats in these formats. "ply": coloured points.
         frames: 0-based indices of the frames.
         degree: largest degree of the spherical harmonics, 0 to 3. The formats "splat" and "ply" can only store degree
             0.
@@ -74,8 +77,8 @@ class ExportReport:
 
     Attributes:
         files: the written files, one for each frame. For several frames of "usd", the last file is the additional file
-            that plays the frames.
-        bytes_per_frame: mean size of a frame's file in bytes.
+            that plays the frames. "4dgs" is one file with all frames.
+        bytes_per_frame: mean size of a frame in bytes.
         psnr: PSNR in dB of renderings with the exported colours against renderings with the scene's colours, averaged
             over the measured images. Both are rendered by fourd from the capture's cameras and from cameras between
             neighbouring ones, and compared in the pixels that show the scene. None if no image shows a point.
@@ -89,6 +92,8 @@ class ExportReport:
 def export_scene(scene: Scene, out: Path, settings: ExportSettings, track: Track = untracked) -> ExportReport:
     """Write frames of a scene, one at a time. Each file is written atomically.
 
+    The shadows of a whole scene are part of the background's colours, which "4dgs" stores once, without shadows.
+
     Args:
         out: see :func:`list_files`.
 
@@ -101,6 +106,10 @@ def export_scene(scene: Scene, out: Path, settings: ExportSettings, track: Track
     fit = SplatFit(manifest, 0 if settings.format in ("splat", "ply") else settings.degree)
     rotation, unit = _rotation(manifest, settings), manifest.metres_per_unit or 1.0
     loss = _LossMeter(manifest, settings.frames)
+    if settings.format == "4dgs":
+        clouds = SceneClouds(scene, fit, rotation, loss.measure)
+        write_dgs(out, clouds, settings.frames, settings.degree, track, has_up_y=not settings.keep_axes)
+        return ExportReport((out,), out.stat().st_size / max(len(settings.frames), 1), loss.psnr)
     for position, index in enumerate(track(settings.frames, len(settings.frames), "export")):
         frame = scene.frame(index)
         cloud = fit.convert(frame)
@@ -131,8 +140,10 @@ def list_files(out: Path, settings: ExportSettings, manifest: SceneManifest) -> 
     """
     kind, count = settings.format, len(settings.frames)
     folder = out / "frames" if kind == "usd" else out
+    if kind == "4dgs" and not _is_file_name(out, kind):
+        raise UserError(f"{out}: expected a file .4dgs for --to 4dgs, got another name; change -o")
     if _is_file_name(out, kind):
-        if count == 1:
+        if count == 1 or kind == "4dgs":
             return [out]
         if kind != "usd":
             raise UserError(
@@ -158,6 +169,8 @@ def _require_packages(kind: Format, out: Path) -> None:
         require_gsply(out)
     if kind == "usd":
         usd.require_usd(out)
+    if kind == "4dgs":
+        require_fourdgs(out)
 
 
 def _write(path: Path, cloud: SplatCloud, kind: Format, time: int | None, metres_per_unit: float) -> None:

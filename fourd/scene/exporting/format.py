@@ -2,4 +2,4 @@
 
 from typing import Literal
 
-Format = Literal["ply-sequence", "splat", "spz", "glb", "usd", "ply"]
+Format = Literal["ply-sequence", "splat", "spz", "glb", "usd", "4dgs", "ply"]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fourd.base.errors import UserError
 from fourd.base.progress import Track, untracked
-from fourd.scene.container import SceneReader, frame_folder
+from fourd.scene.container import frame_folder
 from fourd.scene.files.encoding import CloudEncoding, SceneEncoding, Tier
 from fourd.scene.packed.members import encode_cloud, morton_sorted, optional_member
 from fourd.scene.packed.streams import Compression, compress
@@ -23,6 +23,7 @@ from fourd.scene.packing.precision import DEFAULT_LEVELS, LEVELS
 from fourd.scene.packing.visible import find_visible
 from fourd.scene.packing.writer import PackedWriter, Storage
 from fourd.scene.scene import BakedFrame, SceneManifest, make_frame
+from fourd.scene.splats.reader import Reader, open_reader
 from fourd.scene.styled.normals import add_normals
 
 
@@ -62,7 +63,8 @@ def pack_scene(
     ``tier``. Each frame is read at least twice, and only one frame is kept in memory.
 
     Args:
-        source: a `.4dv` of any version.
+        source: a `.4dv` of any version, a `.4dgs` file, or splats or points (a file or a folder with a file for each
+            frame).
         out: path of the packed scene. ``out`` may be the same path as ``source``.
         tier: see :data:`fourd.scene.files.encoding.Tier`.
         track: reports progress.
@@ -75,7 +77,7 @@ def pack_scene(
     Raises:
         UserError: if ``source`` is not a valid scene or has no frames, or if ``out`` cannot be written.
     """
-    reader = SceneReader(source)
+    reader = open_reader(source)
     try:
         chosen = DEFAULT_LEVELS[tier] if level is None else level
         frames = range(reader.manifest.frame_count)
@@ -86,7 +88,7 @@ def pack_scene(
 
 
 def measure_frames(
-    reader: SceneReader, frames: Sequence[int], tier: Tier, level: int, compression: Compression = "zstd"
+    reader: Reader, frames: Sequence[int], tier: Tier, level: int, compression: Compression = "zstd"
 ) -> float:
     """Measure the mean number of bytes per frame that a player fetches for one viewer.
 
@@ -116,7 +118,7 @@ class _Packer:
 
     def __init__(
         self,
-        reader: SceneReader,
+        reader: Reader,
         tier: Tier,
         level: int,
         frames: Sequence[int],
@@ -211,10 +213,13 @@ def _select(cloud: BakedFrame, indices: NDArray[np.int64]) -> BakedFrame:
 def _conversion(manifest: SceneManifest, tier: Tier) -> tuple[Callable[[BakedFrame], BakedFrame], SceneManifest]:
     """Return the function that converts a cloud for the tier (quality of a packed scene), and the manifest of the
     packed scene, in which normals are not listed as an attribute. For the tier "light", the function replaces the
-    source views by spherical harmonics that are fitted to the colours. For the other tiers, it changes nothing."""
+    source views by spherical harmonics that are fitted to the colours. So it does for scenes that are made from splats
+    in every tier: the steps of the quantisation suit the range of fitted spherical harmonics, and would destroy the
+    colours of splats, whose spherical harmonics have a range that is 16 times as large. Other scenes do not change."""
     optional = tuple(name for name in manifest.optional_attributes if name != "normals")
     manifest = replace(manifest, optional_attributes=optional)
-    if tier != "light" or manifest.view_count == 0:
+    is_wide = manifest.view_count == 0 and manifest.sh_range > LIGHT_SH_RANGE
+    if not is_wide and (tier != "light" or manifest.view_count == 0):
         return lambda cloud: cloud, manifest
     fit = LightFit(manifest)
     described = replace(

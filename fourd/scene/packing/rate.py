@@ -8,11 +8,11 @@ from pathlib import Path
 from fourd.base.errors import UserError
 from fourd.base.progress import Track, untracked
 from fourd.recording.capture.layout import sample_indices
-from fourd.scene.container import SceneReader
 from fourd.scene.files.encoding import Tier
 from fourd.scene.packed.streams import Compression
 from fourd.scene.packing.pack import measure_frames
 from fourd.scene.packing.precision import LEVELS
+from fourd.scene.splats.reader import open_reader
 
 SAMPLED_FRAMES = 3
 """Number of frames from which the bytes per frame of a level (a set of quantisation steps) are estimated."""
@@ -79,7 +79,7 @@ def choose_tier(
     """
     compression: Compression = "zlib" if for_web else "zstd"
     margin = WEB_MARGIN if for_web else MARGIN
-    reader = SceneReader(source)
+    reader = open_reader(source)
     try:
         count, fps = reader.manifest.frame_count, reader.manifest.fps
         frames = sample_indices(count, SAMPLED_FRAMES)

@@ -5,38 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fourd.base.errors import UserError
 from fourd.base.formats.frame_numbers import sort_sequence
 from fourd.base.formats.ply import read_header, read_ply
 from fourd.base.storage import Location
 from fourd.scene.container import SceneReader
-from fourd.scene.scene import BakedFrame, SceneManifest, to_triple
+from fourd.scene.scene import BakedFrame
 from fourd.scene.splats.cloud import SplatCloud
-from fourd.scene.splats.frames import SPLAT_SH_BASE, SPLAT_SH_RANGE, cloud_from_points, frame_from_splats
+from fourd.scene.splats.dgs_reader import SUFFIX as DGS_SUFFIX
+from fourd.scene.splats.dgs_reader import DgsReader
+from fourd.scene.splats.frames import cloud_from_points, frame_from_splats
 from fourd.scene.splats.ply import is_splat_ply, read_splat_ply
 from fourd.scene.splats.raw import count_splats, read_splat
-from fourd.scene.splats.surrounding_cameras import cameras_around
+from fourd.scene.splats.splat_manifest import splat_manifest
 
 SUFFIXES = (".ply", ".splat")
-SPLAT_LAYERS = 48
-"""Maximum number of points that are composited per pixel. It is higher than for fourd's points, because splats are less
-opaque."""
-OUTLIERS = 2.0
-"""Percentage of the splats that lie beyond each of the six sides of the bounds."""
-
-
-def open_reader(path: Location) -> SceneReader | SplatReader:
-    """Open a `.4dv` or its URL, a file of splats or points, or a folder of such files. Raises UserError."""
-    return SplatReader(path) if isinstance(path, Path) and is_splats(path) else SceneReader(path)
-
-
-def is_splats(path: Path) -> bool:
-    """Return whether a path names a file of splats or points, or a folder that contains such files and is not a run."""
-    if path.is_dir():
-        return not (path / "config.yaml").exists() and bool(_list_files(path)[0])
-    return path.suffix.lower() in SUFFIXES
+"""Suffixes of files with one frame."""
 
 
 class SplatReader:
@@ -57,25 +42,9 @@ class SplatReader:
         files = _list_files(self.path) if self.path.is_dir() else ([self.path], sort_sequence([self.path.stem])[1])
         self._files, numbers = files
         counts = tuple(_count(file) for file in self._files)
-        lower, upper, focus = _extent(_read_cloud(self._files[0]).xyz)
-        diagonal = max(float(np.linalg.norm(upper - lower)), 1e-6)
         up = np.array([0.0, -1.0, 0.0]) if _has_splats(self._files[0]) else np.array([0.0, 0.0, 1.0])
-        cameras = cameras_around(focus, diagonal, up)
-        self.manifest = SceneManifest(
-            source_names=(),
-            source_cameras=(),
-            focus=to_triple(focus),
-            bounds=(to_triple(lower), to_triple(upper)),
-            frame_numbers=numbers,
-            points=counts,
-            other_names=tuple(f"side {index + 1}" for index in range(len(cameras))),
-            other_cameras=cameras,
-            layers=SPLAT_LAYERS,
-            sh_base=SPLAT_SH_BASE,
-            sh_range=SPLAT_SH_RANGE,
-            near=1e-3 * diagonal,
-            producer=f"{self._files[0].suffix[1:]} file",
-        )
+        producer = f"{self._files[0].suffix[1:]} file"
+        self.manifest = splat_manifest(_read_cloud(self._files[0]), up, numbers, counts, producer)
 
     def close(self) -> None:
         """Do nothing: files are open only while they are read."""
@@ -98,6 +67,24 @@ class SplatReader:
 
     def read_shadow(self, index: int) -> None:
         """Return None, because splats have no shadows."""
+
+
+Reader = SceneReader | SplatReader | DgsReader
+
+
+def open_reader(path: Location) -> Reader:
+    """Open a `.4dv` or its URL, a file of splats or points, or a folder of such files. Raises UserError."""
+    if isinstance(path, Path) and is_splats(path):
+        return DgsReader(path) if path.suffix.lower() == DGS_SUFFIX else SplatReader(path)
+    return SceneReader(path)
+
+
+def is_splats(path: Path) -> bool:
+    """Return whether a path names a file of splats or points, or a folder that contains files with one frame each and
+    is not a run."""
+    if path.is_dir():
+        return not (path / "config.yaml").exists() and bool(_list_files(path)[0])
+    return path.suffix.lower() in (*SUFFIXES, DGS_SUFFIX)
 
 
 def _list_files(folder: Path) -> tuple[list[Path], tuple[int, ...]]:
@@ -123,10 +110,3 @@ def _read_cloud(file: Path) -> SplatCloud:
     if len(cloud) == 0:
         raise UserError(f"{file}: expected at least one splat with finite values, got none; write the file again")
     return cloud
-
-
-def _extent(xyz: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lower and upper corner of a box that contains most of the splats, and their median position."""
-    points = xyz.astype(np.float64)
-    lower, middle, upper = np.percentile(points, [OUTLIERS, 50, 100 - OUTLIERS], axis=0)
-    return lower, upper, middle
