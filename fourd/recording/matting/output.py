@@ -12,7 +12,7 @@ from fourd.base.files import UNFINISHED, remove_unfinished, write_text_atomicall
 from fourd.base.json_file import read_json_as
 from fourd.recording.capture.layout import DERIVED, MATTES
 
-VERSION = 7
+VERSION = 8
 STATE = "mattes.json"
 MODEL_NAME = "subject.npz"
 SHEET = DERIVED / "mattes.png"
