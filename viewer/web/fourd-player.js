@@ -6,9 +6,11 @@ import { DEFAULT_BACKGROUND, Stage } from "./play/stage.js";
 import { ByteSource } from "./scene/byte_source.js";
 import { ChangedError, SceneError, describeError } from "./scene/errors.js";
 import { SceneFile } from "./scene/scene_file.js";
+import { parseColour, prefersStillness } from "./ui/attributes.js";
 import { Panel } from "./ui/panel.js";
 import { PathControls } from "./ui/path_controls.js";
 import { addShortcuts } from "./ui/shortcuts.js";
+import { SoundButton } from "./ui/sound_button.js";
 import { StyleMenu } from "./ui/style_menu.js";
 import { STYLE } from "./ui/style.js";
 import { VrSession, supportsVr } from "./xr/vr_session.js";
@@ -25,11 +27,11 @@ const LIVE_MS = 2000;
 /**
  * The element `<fourd-player src="scene.4dv">`, which plays a packed scene.
  *
- * Attributes: `src`, `poster` (image that is shown first), `autoplay`, `controls="none"` (no buttons), `background`
- * (a colour such as #203040), `stylize` (name of a style), `mode="reference"` (exact depth peeling), `links` (the
- * page's address contains the view and the time), `timeout` (seconds without data after which a request is repeated, 15
- * by default), `live` (the scene is opened again when it changes on the server), `embedded` (the element is a part of a
- * page that scrolls).
+ * Attributes: `src`, `poster` (image that is shown first), `autoplay`, `controls="none"` (no buttons), `muted` (Play does
+ * not switch the sound on), `background` (a colour such as #203040), `stylize` (name of a style), `mode="reference"`
+ * (exact depth peeling), `links` (the page's address contains the view and the time), `timeout` (seconds without data
+ * after which a request is repeated, 15 by default), `live` (the scene is opened again when it changes on the server),
+ * `embedded` (the element is a part of a page that scrolls).
  * Events: `ready` after the first image, and `error`.
  */
 export class FourdPlayer extends HTMLElement {
@@ -59,6 +61,7 @@ export class FourdPlayer extends HTMLElement {
     this.isInView = true;
     this.styleMenu = new StyleMenu(this);
     this.cameraPath = new PathControls(this);
+    this.soundButton = new SoundButton(this);
     this.controls = new Controls(this.panel.canvas, this, () => this.stage?.pose ?? null, (pose) => this.stage?.setPose(pose));
     /** Shows the view of a link that the user opens in the page that is already open. */
     this.followLink = () => this.#follow(location.hash);
@@ -136,6 +139,7 @@ export class FourdPlayer extends HTMLElement {
   togglePlay() {
     this.stage?.store.retry();
     this.stage?.clock.toggle();
+    if (this.stage?.clock.isPlaying) this.soundButton.play();
   }
 
   /**
@@ -316,6 +320,7 @@ export class FourdPlayer extends HTMLElement {
       const elapsed = Math.max(now - last, 0) / 1000;
       last = now;
       if (!this.isInView && !this.vr) {
+        stage.playback.sound?.rest();
         requestAnimationFrame(step);
         return;
       }
@@ -331,6 +336,7 @@ export class FourdPlayer extends HTMLElement {
       if (!stage.isWaiting) waitingSince = now;
       this.panel.spinner.hidden = now - waitingSince < SPINNER_DELAY_MS || !this.panel.message.hidden;
       this.panel.showTime(stage.clock);
+      this.soundButton.show();
       this.classList.toggle("quiet", stage.clock.isPlaying && now - this.lastInput > QUIET_MS);
       requestAnimationFrame(step);
     };
@@ -379,21 +385,6 @@ export class FourdPlayer extends HTMLElement {
     canvas.height = height;
     if (this.stage) this.stage.isDirty = true;
   }
-}
-
-/**
- * @param {string | null} text A colour such as #203040.
- * @returns {[number, number, number] | null} Null for another text.
- */
-function parseColour(text) {
-  const digits = /^#([0-9a-f]{2})([0-9a-f]{2})([0-9a-f]{2})$/i.exec(text ?? "");
-  if (!digits) return null;
-  return [parseInt(digits[1], 16) / 255, parseInt(digits[2], 16) / 255, parseInt(digits[3], 16) / 255];
-}
-
-/** Whether the user has asked the system for less motion. */
-function prefersStillness() {
-  return matchMedia("(prefers-reduced-motion: reduce)").matches;
 }
 
 if (!customElements.get("fourd-player")) customElements.define("fourd-player", FourdPlayer);

@@ -48,8 +48,8 @@ def bake_stage(
 ) -> Stage[BakeFiles, BakeSettings]:
     """Create the stage that bakes the newest checkpoint of a run, or of each segment of a run.
 
-    The stage runs again if the frame rate or the sound that is stored in ``capture`` changes. ``after`` contains the names of the
-    stages that train the run.
+    The stage runs again if the frame rate or the sound that is stored in ``capture`` changes. ``after`` contains the
+    names of the stages that train the run.
     """
     inputs = () if capture is None else (Artefact(capture / NAME), Artefact(capture / SOUND_FILE))
     if Path(settings.sound).is_file():
