@@ -104,6 +104,7 @@ export class Playback {
   picture(camera, selection) {
     const { order, manifest } = this;
     if (!order || !this.store.hasPoints(order.frame)) return null;
+    this.sound?.shown(order.frame);
     const shadow = this.store.get(order.frame)?.shadow ?? null;
     return { clouds: this.#clouds(order.frame), shadow, order, camera, selection, layers: manifest.layers };
   }

@@ -11,7 +11,7 @@ const LEAD = 0.02;
 /** Duration in seconds of a fade at the start and at the end, which avoids clicks. */
 const FADE = 0.004;
 /** If the sound is this time ahead of or behind the picture, in seconds, it starts again at the right position. */
-const RESTART = 0.025;
+const RESTART = 0.03;
 /** A larger error, in seconds, is not noise of the clocks but a jump of the picture. */
 const JUMP = 0.1;
 /** From this error in seconds on, the sound plays a little faster or slower, which nobody hears. */
@@ -19,6 +19,9 @@ const NUDGE = 0.006;
 const NUDGE_RATE = 0.003;
 /** Weight of the newest error in the mean. The times of browsers are multiples of a few milliseconds. */
 const NEWEST = 0.1;
+const NEWEST_DELAY = 0.03;
+/** Longest delay in seconds, from the time at which a frame is due to its drawing, that the sound makes up for. */
+const MAX_DELAY = 0.15;
 /** The sound stops after this time in seconds if nobody follows the picture, as in a hidden tab. */
 const ALONE = 1;
 
@@ -53,6 +56,10 @@ export class Sound {
     /** Mean error in seconds: how far the sound is ahead of the picture. */
     this.error = 0;
     this.starts = 0;
+    this.shownFrame = -1;
+    /** Mean time in seconds from the time at which a frame is due to its drawing, or null before the first frame.
+     * @type {number | null} */
+    this.delay = null;
     this.abort = new AbortController();
   }
 
@@ -101,6 +108,23 @@ export class Sound {
     this.#setRate(context, source, clock.speed * (1 + nudge));
   }
 
+  /**
+   * Learns how late frames are drawn, because their points are sorted first. Called whenever an image is drawn.
+   * @param {number} frame
+   */
+  shown(frame) {
+    const { clock } = this;
+    if (frame === this.shownFrame || !clock.isPlaying) return;
+    this.shownFrame = frame;
+    const late = (clock.seconds - frame / clock.fps + clock.duration) % clock.duration;
+    if (late <= MAX_DELAY) this.delay = this.delay === null ? late : this.delay + NEWEST_DELAY * (late - this.delay);
+  }
+
+  /** The time in the scene that the picture shows, in seconds. It can be negative after the start of a loop. */
+  get seen() {
+    return this.clock.seconds - (this.delay ?? 0);
+  }
+
   /** Stops the sound until the picture goes on. */
   rest() {
     const { context, source, gain } = this;
@@ -124,7 +148,7 @@ export class Sound {
   /** How far the sound is ahead of the picture, in seconds. In a loop, the end of the scene is next to its start. */
   #errorNow() {
     const { clock } = this;
-    const error = this.heard - clock.seconds;
+    const error = this.heard - this.seen;
     return clock.loops ? error - clock.duration * Math.round(error / clock.duration) : error;
   }
 
@@ -137,9 +161,9 @@ export class Sound {
     this.rest();
     const { clock } = this;
     const time = context.currentTime + LEAD;
-    let position = clock.seconds + (LEAD + latency(context)) * clock.speed;
+    let position = this.seen + (LEAD + latency(context)) * clock.speed;
     if (position >= clock.duration && !clock.loops) return;
-    position %= clock.duration;
+    position = clock.loops ? (position + clock.duration) % clock.duration : Math.max(position, 0);
     const gain = context.createGain();
     gain.gain.setValueAtTime(0, time);
     gain.gain.linearRampToValueAtTime(1, time + FADE);
