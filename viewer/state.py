@@ -30,6 +30,7 @@ from fourd.viewer.navigation.recorded_path import PathRecorder, PathSample, Reco
 from fourd.viewer.navigation.saved_views import SavedViews, default_file
 from fourd.viewer.output.paths import unused_path
 from fourd.viewer.output.png import with_alpha, write_png
+from fourd.viewer.playback.sound import SoundPlayer
 from fourd.viewer.rendering.renderer_name import RendererName
 from fourd.viewer.session import Session
 from fourd.viewer.timings import Timings
@@ -48,6 +49,7 @@ class ViewerState:
         timings: times of the last images.
         comparison: the comparison with the captured pictures.
         measurement: the distance that the user measures.
+        sound: plays the sound of the scene.
         recorder: recorder of the camera path, or None while no path is being recorded.
         recorded_path: the last recording of this scene.
         notice: tells how strongly the session's message is visible.
@@ -77,6 +79,7 @@ class ViewerState:
         self.timings = Timings()
         self.comparison = Comparison(renderer.context, capture, beside)
         self.measurement = Measurement()
+        self.sound = SoundPlayer()
         self.recorder: PathRecorder | None = None
         self.recorded_path: RecordedPath | None = None
         self.path_editor = PathEditor()
@@ -363,6 +366,7 @@ class ViewerState:
         """Save the view, close the scene and free all GL objects."""
         self.save_view()
         self.comparison.release()
+        self.sound.close()
         self.session.close()
         self.renderer.release()
 
