@@ -9,7 +9,7 @@ in one view is found with the help of the other views.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -28,7 +28,7 @@ from fourd.recording.matting.motion.evidence import Appearance, ViewEvidence, co
 from fourd.recording.matting.motion.learner import Learner
 from fourd.recording.matting.motion.local_evidence import LocalEvidence, local_evidence
 from fourd.recording.matting.motion.motion_extent import MotionExtent
-from fourd.recording.matting.motion.sampling import CameraSample
+from fourd.recording.matting.motion.sampling import CameraSample, Picture
 from fourd.recording.matting.shadows.floor import Floor, find_floor, shaded_points
 from fourd.recording.matting.shadows.floor_light import FloorGrid
 from fourd.recording.matting.solid.moments import Moments
@@ -93,6 +93,7 @@ def learn_subject(
     track: Track,
     moments: Moments | None = None,
     workers: int = 1,
+    passed: Callable[[int], Iterable[Picture]] | None = None,
 ) -> Subject:
     """Learn the models of the subject and the backgrounds.
 
@@ -104,12 +105,17 @@ def learn_subject(
         moments: points on all surfaces in some of the sampled frames, or None. They show parts of the subject that do
             not move.
         workers: number of threads.
+        passed: returns images (h, w, 3) of the camera with the given index, of the size of its sampled images, between
+            the sampled frames, or None. Only the regions in which something moves are learned from them.
 
     Raises:
         UserError: if no region changes, or if the moving regions of the views do not intersect in space.
     """
     cameras = tuple(sample.camera for sample in samples)
-    extents = [MotionExtent.from_sample(sample) for sample in track(samples, len(samples), "motion")]
+    extents = []
+    for index, sample in enumerate(track(samples, len(samples), "motion")):
+        extent = MotionExtent.from_sample(sample)
+        extents.append(extent if passed is None else extent.including(sample, passed(index)))
     _require_motion(samples, extents)
     place = _Place.of_motion(extents, cameras, names)
     if moments is not None:
