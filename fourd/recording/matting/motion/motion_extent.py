@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import cv2
 import numpy as np
@@ -60,11 +61,11 @@ class MotionExtent:
         return MotionExtent(noise, still, threshold, _closed(region))
 
     def including(self, sample: CameraSample, pictures: Iterable[Picture]) -> MotionExtent:
-        """Add what changes in other images (h, w, 3) of the camera. A ball crosses most pixels between two sampled
-        frames."""
+        """Add what changes in one of the sampled images or of other images (h, w, 3) of the camera. A ball crosses most
+        pixels once, or between two sampled frames."""
         median = np.median(sample.rgb, axis=0).astype(np.float32)
         passed = self.region.astype(np.uint8)
-        for picture in pictures:
+        for picture in chain(sample.rgb, pictures):
             changed = channel_max(np.abs(picture - median)) > self.threshold
             if changed.mean() <= FLASH_SHARE:
                 blobs = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
