@@ -35,6 +35,7 @@ from fourd.recording.matting.output import SHEET, VERSION, MatteOutput, MatteSta
 from fourd.recording.matting.rvm import RVM, load_rvm
 from fourd.recording.matting.selection import Selection
 from fourd.recording.matting.solid.moments import reconstruct_moments
+from fourd.recording.matting.solid.resting import RestingParts
 
 Picture = NDArray[np.uint8]
 
@@ -241,7 +242,7 @@ def _learn_subject_model(capture: Capture, settings: MatteSettings, path: Path, 
         refine_background(capture, index, subject.appearances[index].background, cameras[index])
         for index in track(numbers, len(numbers), "background")
     ]
-    save_subject(path, subject, backgrounds)
+    save_subject(path, subject, backgrounds, RestingParts.of(subject.solid, frames))
 
 
 def _screen_colours(capture: Capture, settings: MatteSettings, track: Track) -> tuple[ScreenColour, ...]:
