@@ -6,6 +6,7 @@ import { DEFAULT_BACKGROUND, Stage } from "./play/stage.js";
 import { ByteSource } from "./scene/byte_source.js";
 import { ChangedError, SceneError, describeError } from "./scene/errors.js";
 import { SceneFile } from "./scene/scene_file.js";
+import { parseColour } from "./ui/colour.js";
 import { Panel } from "./ui/panel.js";
 import { PathControls } from "./ui/path_controls.js";
 import { addShortcuts } from "./ui/shortcuts.js";
@@ -48,6 +49,9 @@ export class FourdPlayer extends HTMLElement {
     this.pool = null;
     /** @type {VrSession | null} */
     this.vr = null;
+    /** Returns where the scene's bytes come from. Programs with another connection than HTTP replace this function.
+     * @type {(url: string, stallMs: number) => import("./scene/scene_file.js").Source} */
+    this.makeSource = (url, stallMs) => new ByteSource(new URL(url, document.baseURI).href, stallMs);
     this.generation = 0;
     this.cameraIndex = -1;
     /** @type {Pose | null} */
@@ -252,8 +256,7 @@ export class FourdPlayer extends HTMLElement {
       const pool = new DecodePool();
       this.pool = pool;
       const seconds = Number(this.getAttribute("timeout")) || 15;
-      const source = new ByteSource(new URL(src, document.baseURI).href, 1000 * seconds);
-      const file = await SceneFile.open(source);
+      const file = await SceneFile.open(this.makeSource(src, 1000 * seconds));
       if (generation !== this.generation) return pool.release();
       this.#start(file, pool, started, kept);
     } catch (error) {
@@ -379,16 +382,6 @@ export class FourdPlayer extends HTMLElement {
     canvas.height = height;
     if (this.stage) this.stage.isDirty = true;
   }
-}
-
-/**
- * @param {string | null} text A colour such as #203040.
- * @returns {[number, number, number] | null} Null for another text.
- */
-function parseColour(text) {
-  const digits = /^#([0-9a-f]{2})([0-9a-f]{2})([0-9a-f]{2})$/i.exec(text ?? "");
-  if (!digits) return null;
-  return [parseInt(digits[1], 16) / 255, parseInt(digits[2], 16) / 255, parseInt(digits[3], 16) / 255];
 }
 
 /** Whether the user has asked the system for less motion. */
