@@ -1,4 +1,4 @@
-"""The packed scene file of a widget, from which the page reads byte ranges, and the picture that is shown without it."""
+"""The packed scene file of a widget, of which the page reads ranges, and the picture that is shown without scripts."""
 
 from __future__ import annotations
 

@@ -70,13 +70,14 @@ def show(
 
 def _path_of(source: Path | str | Scene | Run | TrainedRun | SegmentedRun) -> Path:
     """Return the file or folder of a source. Raises UserError if it is at a URL."""
-    if isinstance(source, str | Path):
-        location = source
-    elif isinstance(source, Scene):
-        location = source.path
+    if isinstance(source, Scene):
+        path = local_path(source.path, "show a scene")
+    elif isinstance(source, str | Path):
+        path = local_path(source, "show a scene")
     else:
-        location = getattr(source, "run", source).folder
-    path = local_path(location, "show a scene")
+        from fourd.reconstruction.training.run import Run
+
+        path = (source if isinstance(source, Run) else source.run).folder
     if not path.exists():
         raise UserError(f"{path}: expected a .4dv file or a run's folder, got nothing there; check the path")
     return path

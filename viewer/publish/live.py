@@ -171,7 +171,8 @@ class LiveSite:
 
 
 def bake_to(run: Path, scene: Path, console: Console, track: Track) -> None:
-    """Write the newest checkpoint of a run as the scene file ``scene``. Raises UserError. The imports are local, because only runs need torch."""
+    """Write the newest checkpoint of a run as the scene file ``scene``. Raises UserError."""
+    # Only runs need torch.
     from fourd.reconstruction.training.segments.segmented_run import open_trained
     from fourd.scene.bake import bake_run
 
