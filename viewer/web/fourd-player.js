@@ -34,7 +34,7 @@ const LIVE_MS = 2000;
  * Events: `ready` after the first image, and `error`.
  */
 export class FourdPlayer extends HTMLElement {
-  static observedAttributes = ["src", "stylize"];
+  static observedAttributes = ["src", "stylize", "background"];
 
   constructor() {
     super();
@@ -102,7 +102,8 @@ export class FourdPlayer extends HTMLElement {
   attributeChangedCallback(name) {
     if (!this.isConnected) return;
     if (name === "src") this.#open();
-    else this.styleMenu.follow();
+    else if (name === "stylize") this.styleMenu.follow();
+    else if (this.stage) this.#setBackground(this.stage);
   }
 
   /** The background that the attribute names, which replaces the paper of styles; null if there is none. */
@@ -281,7 +282,7 @@ export class FourdPlayer extends HTMLElement {
     const stage = new Stage(this.panel.canvas, file, pool, this.initialPose, (error) => this.#fail(error));
     this.stage = stage;
     if (this.getAttribute("mode") === "reference") stage.mode = "reference";
-    stage.background = this.ownBackground ?? DEFAULT_BACKGROUND;
+    this.#setBackground(stage);
     this.panel.bar.hidden = this.getAttribute("controls") === "none";
     this.panel.setCameras(manifest.cameras.map((camera) => camera.name));
     if (this.hasAttribute("links")) this.#follow(location.hash);
@@ -293,6 +294,12 @@ export class FourdPlayer extends HTMLElement {
     }
     this.styleMenu.follow();
     this.#run(stage, started);
+  }
+
+  /** @param {Stage} stage */
+  #setBackground(stage) {
+    stage.background = this.ownBackground ?? DEFAULT_BACKGROUND;
+    stage.isDirty = true;
   }
 
   /**

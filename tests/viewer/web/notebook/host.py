@@ -1,10 +1,9 @@
-"""A page that shows the widgets of a notebook, as JupyterLab does, and passes their messages to the kernel."""
+"""Shows the widgets of a notebook in a page, as JupyterLab does, and passes their messages to the kernel."""
 
 from __future__ import annotations
 
 import base64
 import time
-from pathlib import Path
 from typing import Any
 
 import nbformat
@@ -17,13 +16,6 @@ WIDGET_VIEW = "application/vnd.jupyter.widget-view+json"
 WIDGET_STATE = "application/vnd.jupyter.widget-state+json"
 SECONDS = 60
 """Time limit of each answer of the kernel. The limit is long, because machines that run tests may be busy."""
-PAGE = """<!doctype html>
-<meta charset="utf-8" />
-<style>body { margin: 0; font: 16px sans-serif } .output { margin: 8px }</style>
-<p>In [1]: fourd.show(scene)</p>
-<div class="output"></div>
-<p style="height: 200px">In [2]:</p>
-"""
 SHOW = """async ({state, buffers}) => {
     const bytes = (text) => new DataView(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
     for (const {path, data} of buffers) state[path[0]] = bytes(data);
@@ -78,12 +70,6 @@ class Kernel:
 
     def close(self) -> None:
         self._client.stop_channels()
-
-
-def write_page(folder: Path) -> None:
-    """Write the page into a folder that is then served."""
-    folder.mkdir(exist_ok=True)
-    (folder / "index.html").write_text(PAGE, encoding="utf-8")
 
 
 def show_widget(page: PlayerPage, notebook: nbformat.NotebookNode, kernel: Kernel | None) -> None:
