@@ -76,7 +76,7 @@ def test_a_missing_file_is_named(scene: Path, tmp_path: Path) -> None:
     write_for_browsers(scene, path, "stream", has_normals=False)
     served = serve(path, "stream", Terminal(quiet=True))
     path.unlink()
-    with pytest.raises(UserError, match="moved.4dv: expected the file of the scene, got none"):
+    with pytest.raises(UserError, match=r"moved\.4dv: expected the file of the scene, got none"):
         served.read(0, 5)
 
 
@@ -88,7 +88,7 @@ def test_a_damaged_scene_leaves_no_files(scene: Path, tmp_path: Path, monkeypatc
     (tmp_path / "temporary").mkdir()
     damaged = tmp_path / "damaged.4dv"
     damaged.write_bytes(scene.read_bytes()[:-200])
-    with pytest.raises(UserError, match="damaged.4dv"):
+    with pytest.raises(UserError, match=r"damaged\.4dv"):
         serve(damaged, "stream", Terminal(quiet=True))
     with pytest.raises(UserError, match="expected a run"):
         serve(tmp_path, "stream", Terminal(quiet=True))
@@ -118,8 +118,10 @@ def test_large_scenes_are_not_embedded(packed: Path, monkeypatch: pytest.MonkeyP
 
 def test_a_missing_package_is_named(packed: Path) -> None:
     """Catches a ModuleNotFoundError that does not say which extra to install."""
-    code = f"{WITHOUT_ANYWIDGET}import fourd\ntry: fourd.show({str(packed)!r})\nexcept fourd.UserError as error: print(error)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    code = (
+        f"{WITHOUT_ANYWIDGET}import fourd\ntry: fourd.show(sys.argv[1])\nexcept fourd.UserError as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, packed], capture_output=True, text=True, check=True)
     assert done.stdout == "fourd.show: expected the package anywidget, got none; pip install 'fourd[notebook]'\n"
 
 

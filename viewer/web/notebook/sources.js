@@ -1,10 +1,13 @@
 import { SceneError } from "../scene/errors.js";
 import { LineRate } from "../scene/line_rate.js";
 
-/** Time in milliseconds without an answer of the kernel after which the user is told. */
+/** Time in milliseconds without an answer of the kernel after which the page says so. */
 const SILENCE_MS = 10000;
-/** Largest range that the kernel is asked for at once, so that other messages need not wait long. */
-const MAX_RANGE = 1 << 20;
+/** Largest range of a message, so that other messages need not wait long. */
+const MAX_RANGE = 1 << 19;
+/** Maximum number of messages without an answer. The kernel answers in order, and does not know that the page no longer needs
+ * a range. With more messages, ranges that are needed now would wait for many that are not. */
+const MAX_SENT = 4;
 
 /**
  * A widget's model, as notebooks implement it.
@@ -73,8 +76,14 @@ export class KernelSource extends Source {
     /** Views of the same widget share its messages, so that each needs numbers of its own. */
     this.prefix = Math.random().toString(36).slice(2);
     this.next = 0;
-    /** @type {Map<string, Waiting>} */
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    this.timer = undefined;
+    /** Requests without an answer that the page still needs. @type {Map<string, Waiting>} */
     this.waiting = new Map();
+    /** Messages that are not sent yet. @type {{id: string, offset: number, size: number}[]} */
+    this.queue = [];
+    /** Numbers of the messages without an answer. @type {Set<string>} */
+    this.sent = new Set();
     this.receive = this.receive.bind(this);
     model.on("msg:custom", this.receive);
   }
@@ -90,18 +99,11 @@ export class KernelSource extends Source {
     const starts = [];
     for (let start = offset; start < end; start += MAX_RANGE) starts.push(start);
     const bytes = new Uint8Array(Math.max(end - offset, 0));
-    this.rate.begin();
-    try {
-      await Promise.all(
-        starts.map(async (start) => {
-          const part = await this.request(start, Math.min(MAX_RANGE, end - start), signal);
-          this.rate.receive(part.length);
-          bytes.set(part, start - offset);
-        }),
-      );
-    } finally {
-      this.rate.end();
-    }
+    await Promise.all(
+      starts.map(async (start) => {
+        bytes.set(await this.request(start, Math.min(MAX_RANGE, end - start), signal), start - offset);
+      }),
+    );
     return bytes;
   }
 
@@ -116,6 +118,7 @@ export class KernelSource extends Source {
     return new Promise((resolve, reject) => {
       const stop = () => {
         this.waiting.delete(id);
+        this.queue = this.queue.filter((message) => message.id !== id);
         reject(new DOMException("The range is no longer needed", "AbortError"));
       };
       if (signal?.aborted) return stop();
@@ -132,9 +135,21 @@ export class KernelSource extends Source {
           reject(error);
         },
       });
-      this.model.send({ id, offset, size });
-      this.timer ??= setTimeout(this.silent, SILENCE_MS);
+      this.queue.push({ id, offset, size });
+      this.send();
     });
+  }
+
+  /** Sends messages while few are without an answer. */
+  send() {
+    while (this.sent.size < MAX_SENT) {
+      const message = this.queue.shift();
+      if (!message) return;
+      this.sent.add(message.id);
+      this.rate.begin();
+      this.model.send(message);
+      this.timer ??= setTimeout(this.silent, SILENCE_MS);
+    }
   }
 
   /**
@@ -142,17 +157,23 @@ export class KernelSource extends Source {
    * @param {(DataView | ArrayBuffer)[]} buffers
    */
   receive(content, buffers) {
-    const waiting = this.waiting.get(content?.id ?? "");
-    if (!waiting) return;
+    const id = content?.id ?? "";
+    if (!this.sent.delete(id)) return;
     clearTimeout(this.timer);
     this.timer = undefined;
-    this.waiting.delete(content.id ?? "");
-    if (content.error !== undefined) waiting.reject(new SceneError(content.error));
-    else waiting.resolve(toBytes(buffers[0]));
+    const bytes = content.error === undefined ? toBytes(buffers[0]) : new Uint8Array(0);
+    this.rate.receive(bytes.length);
+    this.rate.end();
+    const waiting = this.waiting.get(id);
+    this.waiting.delete(id);
+    if (content.error === undefined) waiting?.resolve(bytes);
+    else waiting?.reject(new SceneError(content.error));
+    this.send();
   }
 
   release() {
     clearTimeout(this.timer);
+    this.queue = [];
     this.model.off("msg:custom", this.receive);
     for (const { reject } of this.waiting.values()) reject(new SceneError("The player was closed"));
     this.waiting.clear();

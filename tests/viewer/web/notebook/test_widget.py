@@ -44,7 +44,7 @@ def test_a_scene_streams_from_the_kernel(open_host: Callable[[], PlayerPage], ob
         page.run("stage.fixedCamera = null; player.moveToInitialView(); player.togglePlay();")
         page.wait("stage.clock.frame !== 3 && stage.images > 5")
         assert page.problems == []
-        assert all(request["size"] <= 1 << 20 for request in kernel.requests)
+        assert all(request["size"] <= 1 << 19 for request in kernel.requests)
 
 
 def test_an_embedded_scene_needs_no_kernel(open_host: Callable[[], PlayerPage], object_site: Path) -> None:
