@@ -33,7 +33,7 @@ def show(
     tier: Tier = "stream",
     quiet: bool = False,
 ) -> SceneWidget:
-    """Show a scene or a run in a notebook, such as JupyterLab, VS Code or marimo. Needs ``pip install 'fourd[notebook]'``.
+    """Show a scene or a run in a notebook. Needs the extra: ``pip install 'fourd[notebook]'``.
 
     A scene that `fourd web` wrote is read in place, in the ranges that the page needs. Any other scene is packed into a
     temporary file first, and a run is baked first, from its newest checkpoint.
