@@ -6,6 +6,7 @@ import { DEFAULT_BACKGROUND, Stage } from "./play/stage.js";
 import { ByteSource } from "./scene/byte_source.js";
 import { ChangedError, SceneError, describeError } from "./scene/errors.js";
 import { SceneFile } from "./scene/scene_file.js";
+import { parseColour } from "./ui/colour.js";
 import { Panel } from "./ui/panel.js";
 import { PathControls } from "./ui/path_controls.js";
 import { addShortcuts } from "./ui/shortcuts.js";
@@ -33,7 +34,7 @@ const LIVE_MS = 2000;
  * Events: `ready` after the first image, and `error`.
  */
 export class FourdPlayer extends HTMLElement {
-  static observedAttributes = ["src", "stylize"];
+  static observedAttributes = ["src", "stylize", "background"];
 
   constructor() {
     super();
@@ -48,6 +49,9 @@ export class FourdPlayer extends HTMLElement {
     this.pool = null;
     /** @type {VrSession | null} */
     this.vr = null;
+    /** Returns where the scene's bytes come from. Programs with another connection than HTTP replace this function.
+     * @type {(url: string, stallMs: number) => import("./scene/scene_file.js").Source} */
+    this.makeSource = (url, stallMs) => new ByteSource(new URL(url, document.baseURI).href, stallMs);
     this.generation = 0;
     this.cameraIndex = -1;
     /** @type {Pose | null} */
@@ -98,7 +102,8 @@ export class FourdPlayer extends HTMLElement {
   attributeChangedCallback(name) {
     if (!this.isConnected) return;
     if (name === "src") this.#open();
-    else this.styleMenu.follow();
+    else if (name === "stylize") this.styleMenu.follow();
+    else if (this.stage) this.#setBackground(this.stage);
   }
 
   /** The background that the attribute names, which replaces the paper of styles; null if there is none. */
@@ -252,8 +257,7 @@ export class FourdPlayer extends HTMLElement {
       const pool = new DecodePool();
       this.pool = pool;
       const seconds = Number(this.getAttribute("timeout")) || 15;
-      const source = new ByteSource(new URL(src, document.baseURI).href, 1000 * seconds);
-      const file = await SceneFile.open(source);
+      const file = await SceneFile.open(this.makeSource(src, 1000 * seconds));
       if (generation !== this.generation) return pool.release();
       this.#start(file, pool, started, kept);
     } catch (error) {
@@ -278,7 +282,7 @@ export class FourdPlayer extends HTMLElement {
     const stage = new Stage(this.panel.canvas, file, pool, this.initialPose, (error) => this.#fail(error));
     this.stage = stage;
     if (this.getAttribute("mode") === "reference") stage.mode = "reference";
-    stage.background = this.ownBackground ?? DEFAULT_BACKGROUND;
+    this.#setBackground(stage);
     this.panel.bar.hidden = this.getAttribute("controls") === "none";
     this.panel.setCameras(manifest.cameras.map((camera) => camera.name));
     if (this.hasAttribute("links")) this.#follow(location.hash);
@@ -290,6 +294,12 @@ export class FourdPlayer extends HTMLElement {
     }
     this.styleMenu.follow();
     this.#run(stage, started);
+  }
+
+  /** @param {Stage} stage */
+  #setBackground(stage) {
+    stage.background = this.ownBackground ?? DEFAULT_BACKGROUND;
+    stage.isDirty = true;
   }
 
   /**
@@ -379,16 +389,6 @@ export class FourdPlayer extends HTMLElement {
     canvas.height = height;
     if (this.stage) this.stage.isDirty = true;
   }
-}
-
-/**
- * @param {string | null} text A colour such as #203040.
- * @returns {[number, number, number] | null} Null for another text.
- */
-function parseColour(text) {
-  const digits = /^#([0-9a-f]{2})([0-9a-f]{2})([0-9a-f]{2})$/i.exec(text ?? "");
-  if (!digits) return null;
-  return [parseInt(digits[1], 16) / 255, parseInt(digits[2], 16) / 255, parseInt(digits[3], 16) / 255];
 }
 
 /** Whether the user has asked the system for less motion. */
