@@ -120,6 +120,9 @@ class App:
             state.show_scene(scene)
         has_news = session.advance(elapsed, is_held=state.comparison.is_reading)
         state.follow_path(elapsed)
+        is_waiting = session.is_waiting or state.comparison.is_reading
+        state.sound.follow(session.scene, session.playback, is_waiting=is_waiting)
+        session.message = state.sound.take_problem() or session.message
         was_active, self._was_active = self._was_active, not self._is_idle()
         # The image after the last change shows the end of a transition, or what a thread has just read.
         if not (has_news or was_active or self._was_active):

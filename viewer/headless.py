@@ -19,6 +19,7 @@ from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.loaded_scene import LoadedScene
 from fourd.viewer.navigation.paths import fit_camera
 from fourd.viewer.output.png import with_alpha, write_png
+from fourd.viewer.output.sound import sound_of_video
 from fourd.viewer.output.video import write_video
 from fourd.viewer.playback.sources import open_frame_source
 from fourd.viewer.rendering.offscreen import OffscreenRenderer
@@ -54,7 +55,12 @@ class Headless:
             with OffscreenRenderer(self.renderer) as renderer:
                 console.print(f"renderer: {renderer.choice.name} ({renderer.choice.reason})", soft_wrap=True)
                 views = track(list(zip(plan.cameras, plan.frames, strict=True)), description="render", console=console)
-                return write_video(out, self._render(scene, renderer, views), fps or plan.fps or scene.manifest.fps)
+                rate = fps or plan.fps or scene.manifest.fps
+                sound = sound_of_video(scene.sound, scene.manifest, plan.frames, rate)
+                if isinstance(sound, str):
+                    console.print(sound, soft_wrap=True)
+                    sound = None
+                return write_video(out, self._render(scene, renderer, views), rate, sound=sound)
         finally:
             scene.close()
 

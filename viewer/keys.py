@@ -92,6 +92,13 @@ def _toggle_loop(state: ViewerState) -> None:
     playback.is_looping = not playback.is_looping
 
 
+def _toggle_sound(state: ViewerState) -> None:
+    scene = state.session.scene
+    state.sound.toggle()
+    has_sound = scene is not None and scene.sound is not None
+    state.session.message = f"sound {'on' if state.sound.is_on else 'off'}" if has_sound else "the scene has no sound"
+
+
 def _change_speed(direction: int) -> Callable[[ViewerState], None]:
     def act(state: ViewerState) -> None:
         state.session.playback.speed = next_speed(state.session.playback.speed, direction)
@@ -163,6 +170,7 @@ SHORTCUTS = (
         ((_Key.left_bracket, _change_speed(-1)), (_Key.right_bracket, _change_speed(1))),
     ),
     Shortcut("L", "loop", ((_Key.l, _toggle_loop),)),
+    Shortcut("M", "sound on or off", ((_Key.m, _toggle_sound),)),
     Shortcut("N, P", "next camera, previous camera", ((_Key.n, _change_camera(1)), (_Key.p, _change_camera(-1)))),
     Shortcut("0", "initial view", ((_Key._0, lambda state: state.move_to_initial_view()),)),
     Shortcut("B", "keep this view as a bookmark", ((_Key.b, lambda state: state.add_bookmark()),)),
@@ -175,7 +183,7 @@ SHORTCUTS = (
     Shortcut("Y", "play or stop the camera path", ((_Key.y, lambda state: state.path_editor.toggle()),)),
     Shortcut("T", "next style", ((_Key.t, _next_style),)),
     Shortcut("V", "compare with the capture", ((_Key.v, _next_comparison),)),
-    Shortcut("M", "measure a distance", ((_Key.m, lambda state: state.measurement.toggle()),)),
+    Shortcut("X", "measure a distance", ((_Key.x, lambda state: state.measurement.toggle()),)),
     Shortcut("R", "next renderer", ((_Key.r, _next_renderer),)),
     Shortcut(
         "I, F12",

@@ -29,6 +29,7 @@ class LoadedScene:
         manifest: the manifest of the scene.
         frames: supplies the frames and prefetches them.
         up: up direction of the world, (3,).
+        sound: the sound of the scene, or None if it has none.
         has_normals: whether the scene stores normals. Styles need normals, and estimate missing ones.
         checkpoint: file name of the displayed checkpoint of a run; empty for other scenes.
     """
@@ -37,6 +38,7 @@ class LoadedScene:
         """The scene takes ownership of ``source``, and :meth:`close` closes the source."""
         self.path = path
         self.manifest: SceneManifest = source.manifest
+        self.sound = source.read_sound()
         self._run = source if isinstance(source, RunSource) else None
         # A run's frames are baked on demand, which slows training. Therefore only the next one is baked before it is
         # shown, but the baked frames are kept, so that the second round plays at once.

@@ -28,7 +28,9 @@ from fourd.viewer.navigation.bookmarks import Bookmarks
 from fourd.viewer.navigation.preferences import Preferences, PreferencesFile
 from fourd.viewer.navigation.recorded_path import PathRecorder, PathSample, RecordedPath
 from fourd.viewer.navigation.saved_views import SavedViews, default_file
+from fourd.viewer.output.paths import unused_path
 from fourd.viewer.output.png import with_alpha, write_png
+from fourd.viewer.playback.sound import SoundPlayer
 from fourd.viewer.rendering.renderer_name import RendererName
 from fourd.viewer.session import Session
 from fourd.viewer.timings import Timings
@@ -47,6 +49,7 @@ class ViewerState:
         timings: times of the last images.
         comparison: the comparison with the captured pictures.
         measurement: the distance that the user measures.
+        sound: plays the sound of the scene.
         recorder: recorder of the camera path, or None while no path is being recorded.
         recorded_path: the last recording of this scene.
         notice: tells how strongly the session's message is visible.
@@ -76,6 +79,7 @@ class ViewerState:
         self.timings = Timings()
         self.comparison = Comparison(renderer.context, capture, beside)
         self.measurement = Measurement()
+        self.sound = SoundPlayer()
         self.recorder: PathRecorder | None = None
         self.recorded_path: RecordedPath | None = None
         self.path_editor = PathEditor()
@@ -362,18 +366,24 @@ class ViewerState:
         """Save the view, close the scene and free all GL objects."""
         self.save_view()
         self.comparison.release()
+        self.sound.close()
         self.session.close()
         self.renderer.release()
 
     def _render(self, plan: VideoPlan, suffix: str) -> None:
         """Render a video to an MP4 whose name is that of the scene with ``suffix``."""
+        from fourd.viewer.output.sound import sound_of_video
         from fourd.viewer.output.video import write_video
 
         assert self.session.scene is not None
         path = unused_path(self.session.scene.path.stem + suffix, ".mp4")
         images = render_images(self.window, self.session, self.renderer, path, plan)
+        scene = self.session.scene
+        sound = sound_of_video(scene.sound, scene.manifest, plan.frames, plan.fps)
         try:
-            self.write(path, lambda: write_video(path, images, plan.fps))
+            self.write(
+                path, lambda: write_video(path, images, plan.fps, sound=None if isinstance(sound, str) else sound)
+            )
         except Cancelled:
             self.session.message = f"{path}: cancelled, nothing was written"
         self.renderer.invalidate()
@@ -386,12 +396,3 @@ class ViewerState:
             self.session.message = f"{path}: cannot be written ({error})"
             return
         self.session.message = f"{path.resolve()}: written"
-
-
-def unused_path(stem: str, suffix: str) -> Path:
-    """Return the first path of the series STEM-001SUFFIX, STEM-002SUFFIX, ... that does not exist in the working
-    directory."""
-    number = 1
-    while (path := Path(f"{stem}-{number:03d}{suffix}")).exists():
-        number += 1
-    return path

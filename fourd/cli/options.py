@@ -59,6 +59,11 @@ OFFSET_HELP = (
     "Number of frames by which events appear later in the video of camera CAM than in the other videos. "
     "Fractions are allowed. Example for two cameras: cam02=3,cam05=-1.5."
 )
+SOUNDTRACK_HELP = (
+    "Sound of the scene. auto: the best soundtrack of the videos, which is not silent, not clipped, of a high sampling "
+    "rate, and loud. CAM: the soundtrack of this camera. FILE: a sound file or a video, whose sound begins at frame 0 "
+    "of the capture. none: no sound."
+)
 TIER_HELP = (
     "full: images look like those of the unpacked scene.",
     "stream: coarser quantisation than full; a player fetches only the source views that it needs.",

@@ -43,6 +43,7 @@ from fourd.recording.capture.frame_rate import set_rate
 from fourd.recording.capture.layout import DERIVED, MATTES
 from fourd.recording.importing.importer import ImportOptions
 from fourd.recording.matting.sequence import MatteSettings, chosen_method, forget_choice
+from fourd.recording.soundtrack.choice import AUTO
 from fourd.scene.packing.report import PackSettings
 
 RECORD = "stages.json"
@@ -127,6 +128,7 @@ class SceneRequest:
     mattes: MatteChoice
     imports: ImportOptions
     pack: PackSettings | None
+    sound: str
     context: Context
 
 
@@ -141,6 +143,7 @@ def make_scene(
     lpips_weights: Path | None = None,
     imports: ImportOptions | None = None,
     pack: PackSettings | None = None,
+    sound: str = AUTO,
     accept_mattes: bool = False,
     keep_chosen_mattes: bool = False,
     cluster: Cluster | None = None,
@@ -164,6 +167,7 @@ def make_scene(
         lpips_weights: the weights of LPIPS; see :func:`~fourd.reconstruction.training.losses.lpips.load_lpips`.
         imports: options of the import. If ``source`` is a capture, their frame rate, if any, is stored in it.
         pack: how the scene file is compressed, or None for plain arrays.
+        sound: the sound of the scene; see :func:`~fourd.recording.soundtrack.choice.choose_sound`.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
         keep_chosen_mattes: whether to keep mattes whose method the user chose with ``fourd matte``.
         cluster: the cluster on which the stages run. If None, the stages run in this process.
@@ -180,7 +184,8 @@ def make_scene(
     require_suffix(out, (".4dv",), "a scene")
     run = RunRequest(Path(), Path(), train, points_from, lpips_weights, accept_mattes=accept_mattes)
     choice = MatteChoice(mattes, keep_chosen_mattes)
-    request = SceneRequest(source, out, run, choice, imports or ImportOptions(), pack, context)
+    sound = str(Path(sound).absolute()) if Path(sound).is_file() else sound
+    request = SceneRequest(source, out, run, choice, imports or ImportOptions(), pack, sound, context)
     execute = run_here if cluster is None else cluster.execute
     if isinstance(work, StorageUrl):
         return _make_stored(request, work, execute, is_parallel=cluster is not None, force=force)
@@ -275,7 +280,7 @@ def _run_graph(request: SceneRequest, run: RunRequest, work: Path, out: Path, ru
         options,
         work,
         out,
-        BakeSettings(pack=request.pack),
+        BakeSettings(pack=request.pack, sound=request.sound),
         # In a store, the key of the import must not depend on the path of this machine's copy.
         finds_board=not runner.is_stored,
         from_hull=request.mattes.keep_chosen,

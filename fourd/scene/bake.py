@@ -29,6 +29,7 @@ from fourd.reconstruction.training.segments.segmented_run import SegmentedRun, S
 from fourd.recording.capture.frame_rate import DEFAULT_FPS
 from fourd.rendering.ops.morton import morton_order
 from fourd.scene.container import SceneWriter
+from fourd.scene.files.sound import OpusSound
 from fourd.scene.scene import (
     BAKED_LAYERS,
     SHADOW_IDENTITY,
@@ -56,6 +57,7 @@ def bake_run(
     layers: int = BAKED_LAYERS,
     fps: float | None = None,
     track: Track | None = None,
+    sound: OpusSound | None = None,
 ) -> None:
     """Write the run's newest checkpoint as the scene file ``out``, one frame at a time (4K4D, sec. 3.4).
 
@@ -67,6 +69,7 @@ def bake_run(
         fps: playback rate, frames per second. If None, the rate at which the run's frames were recorded is used, or 30
             if this rate is not known.
         track: reports the progress of the frames. If None, the console shows it.
+        sound: the sound of the scene, or None.
 
     Raises:
         UserError: if the model's blend weights depend on the viewing camera, or if the file cannot be written.
@@ -77,6 +80,8 @@ def bake_run(
     first = trained.segment(0) if isinstance(trained, SegmentedRun) else trained
     manifest = replace(make_manifest(first, layers, fps), frame_numbers=run.capture.frame_numbers)
     with SceneWriter(out, manifest) as writer, torch.no_grad():
+        if sound is not None:
+            writer.add_sound(sound)
         background = bake_background(first, sources)
         if background is not None:
             writer.add_background(add_normals(background, manifest, is_background=True))

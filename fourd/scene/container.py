@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from fourd.base.errors import UserError
 from fourd.base.files import atomic_path, remove_unfinished_file
 from fourd.base.storage import Location, local_path, parse_location
+from fourd.recording.soundtrack.ogg import OggError
 from fourd.scene.combine import combine_frames
 from fourd.scene.files.archive import (
     ZIP_ERRORS,
@@ -36,21 +37,22 @@ from fourd.scene.files.archive import (
     open_zip,
 )
 from fourd.scene.files.encoding import CloudEncoding
+from fourd.scene.files.sound import SOUND_NAME, OpusSound, check_sound
 from fourd.scene.manifest import ManifestError, NewerVersionError, manifest_from_json, manifest_to_json
 from fourd.scene.packed.members import decode_cloud, optional_member, packed_names
+from fourd.scene.packed.names import BACKGROUND, MANIFEST_NAME, SHADOW, frame_folder, member_name, member_sizes
 from fourd.scene.packed.streams import StreamError, decompress_exactly
-from fourd.scene.scene import FULL_VERSION, OBJECT_VERSION, BakedFrame, SceneBackground, SceneManifest, make_frame
+from fourd.scene.scene import (
+    FULL_VERSION,
+    OBJECT_VERSION,
+    SOUND_VERSION,
+    BakedFrame,
+    SceneBackground,
+    SceneManifest,
+    make_frame,
+)
 
-MANIFEST_NAME = "manifest.json"
 MAX_MANIFEST_BYTES = 64 << 20
-BACKGROUND = "background"
-"""Folder inside the ZIP that contains the arrays of the background."""
-SHADOW = "shadow"
-
-
-def member_name(frame: int, attribute: str) -> str:
-    """Return the path of a frame's array inside the ZIP."""
-    return f"{frame_folder(frame)}/{attribute}"
 
 
 class SceneWriter:
@@ -61,8 +63,8 @@ class SceneWriter:
 
     Args:
         path: path of the `.4dv`. Missing folders of ``path`` are created.
-        manifest: manifest of the scene. The writer sets ``points``, ``background``, ``version`` and
-            ``optional_attributes`` from the added frames.
+        manifest: manifest of the scene. The writer sets ``points``, ``background``, ``version``, ``sound`` and
+            ``optional_attributes`` from what is added.
 
     Raises:
         UserError: if the disk is full, the path cannot be written, or the path is a URL (see
@@ -74,7 +76,7 @@ class SceneWriter:
 
     def __init__(self, path: Path | str, manifest: SceneManifest) -> None:
         self.path = local_path(path, "write a scene")
-        self.manifest = manifest
+        self.manifest = replace(manifest, sound=None)
         self._points: list[int] = []
         self._background: int | None = None  # number of points; None until the background is added
         self._shadow: int | None = None  # length of the frames' shadows; None without shadows
@@ -128,6 +130,16 @@ class SceneWriter:
         self._write_arrays(BACKGROUND, frame)
         self._background = frame.point_count
 
+    def add_sound(self, sound: OpusSound) -> None:
+        """Add the sound, at most once. Raises ValueError if it is not valid, or does not end with the scene."""
+        if self.manifest.sound is not None:
+            raise ValueError("sound: expected one sound, got a second one")
+        described = sound.describe()
+        described.require_inside(self.manifest.seconds)
+        with disk_errors(self.path):
+            self._write(SOUND_NAME, sound.content)
+        self.manifest = replace(self.manifest, sound=described)
+
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
@@ -145,12 +157,13 @@ class SceneWriter:
         if len(self._points) != self.manifest.frame_count:
             raise ValueError(f"expected {self.manifest.frame_count} frames, got {len(self._points)}")
         manifest = replace(self.manifest, points=tuple(self._points), optional_attributes=self._optional or ())
+        has_sound = manifest.sound is not None
         if manifest.kind == "object":
-            return replace(manifest, version=OBJECT_VERSION)
+            return replace(manifest, version=SOUND_VERSION if has_sound else OBJECT_VERSION)
         if self._background is None:
             raise ValueError('expected a background in a scene of kind "full", got none; call add_background')
         background = SceneBackground(self._background, shadow=self._shadow is not None)
-        return replace(manifest, background=background, version=FULL_VERSION)
+        return replace(manifest, background=background, version=SOUND_VERSION if has_sound else FULL_VERSION)
 
     def _check(self, what: str, frame: BakedFrame) -> None:
         if frame.view_count != self.manifest.view_count:
@@ -277,6 +290,19 @@ class SceneReader:
         with self._decoding(name):
             return decompress_exactly(content, self.manifest.background.points)
 
+    def read_sound(self) -> OpusSound | None:
+        """Return the sound, of which the headers were checked, or None if the scene has none. Raises UserError."""
+        described = self.manifest.sound
+        if described is None:
+            return None
+        content = self.read_member(SOUND_NAME)
+        try:
+            check_sound(content, described)
+        except OggError as error:
+            expected, _, got = str(error).removeprefix("expected ").partition(", got ")
+            raise damaged(self.path, f"{expected} in {SOUND_NAME}", got) from error
+        return OpusSound(content, described.start)
+
     def _require_frame(self, index: int) -> None:
         if not 0 <= index < self.manifest.frame_count:
             raise IndexError(f"frame: expected 0 to {self.manifest.frame_count - 1}, got {index}")
@@ -347,32 +373,9 @@ class SceneReader:
             raise UserError(f"{self.path}: {error}; export the scene again") from error
 
     def _check_sizes(self) -> None:
-        for name, expected in _member_sizes(self.manifest):
+        for name, expected in member_sizes(self.manifest):
             if name not in self._members:
                 raise damaged(self.path, f"a member {name}", "none")
             size = self._members[name].file_size
             if expected is not None and size != expected:
                 raise damaged(self.path, f"{expected} bytes in {name} according to the manifest", f"{size}")
-
-
-def frame_folder(index: int) -> str:
-    """Return the folder of a frame inside the ZIP."""
-    return f"frames/{index:06d}"
-
-
-def _member_sizes(manifest: SceneManifest) -> Iterator[tuple[str, int | None]]:
-    """Yield the name and the size in bytes of each member (file inside the ZIP) of a scene. The size is None for
-    compressed members."""
-    packed = manifest.encoding is not None
-    folders = [(frame_folder(index), points) for index, points in enumerate(manifest.points)]
-    if manifest.background is not None:
-        if manifest.background.shadow:
-            for folder, _ in folders:
-                yield f"{folder}/{SHADOW}", None if packed else manifest.background.points
-        folders.append((BACKGROUND, manifest.background.points))
-    for folder, points in folders:
-        if packed:
-            yield from ((f"{folder}/{name}", None) for name in packed_names(manifest))
-        else:
-            for attribute in manifest.attributes:
-                yield f"{folder}/{attribute.name}", attribute.nbytes(points, manifest.view_count)

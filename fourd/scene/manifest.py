@@ -22,11 +22,13 @@ from fourd.base.units import MAX_UNIT_M, MIN_UNIT_M
 from fourd.recording.capture.frame_rate import DEFAULT_FPS
 from fourd.scene.attributes import ATTRIBUTES
 from fourd.scene.files.encoding_json import encoding_from_json, encoding_to_json
+from fourd.scene.files.sound import sound_from_json, sound_to_json
 from fourd.scene.scene import (
     FORMAT_NAME,
     FORMAT_VERSION,
     FULL_VERSION,
     PACKED_VERSION,
+    SOUND_VERSION,
     Count,
     SceneBackground,
     SceneKind,
@@ -61,6 +63,7 @@ def manifest_to_json(manifest: SceneManifest) -> bytes:
         "fps": manifest.fps,
         **({"fps_known": True} if manifest.is_fps_known else {}),
         **({} if manifest.metres_per_unit is None else {"metres_per_unit": manifest.metres_per_unit}),
+        **sound_to_json(manifest.sound),
         "layers": manifest.layers,
         "neighbours": manifest.neighbours,
         **({"fade_views": True} if manifest.fade_views else {}),
@@ -188,7 +191,8 @@ def _decode(content: Any) -> SceneManifest:
         raise NewerVersionError(f"expected format version {FORMAT_VERSION} or older, got {header.version}")
     values, parts = decode_json(content, _Values), decode_json(content, _Parts)
     background = _background(content, values)
-    is_full, is_packed = background is not None, values.version >= PACKED_VERSION
+    is_full, is_packed = background is not None, _is_packed(content, values.version)
+    has_sound = values.version >= SOUND_VERSION
     return SceneManifest(
         **vars(values),
         source_names=tuple(view.name for view in parts.source_views),
@@ -204,7 +208,13 @@ def _decode(content: Any) -> SceneManifest:
         background=background,
         optional_attributes=_optional_attributes(parts.attributes),
         encoding=encoding_from_json(content, has_background=is_full) if is_packed else None,
+        sound=sound_from_json(content, len(parts.frames) / values.fps) if has_sound else None,
     )
+
+
+def _is_packed(content: dict[str, Any], version: int) -> bool:
+    """Return whether a scene is packed. Scenes with sound are packed if they describe how."""
+    return "encoding" in content if version >= SOUND_VERSION else version >= PACKED_VERSION
 
 
 def _background(content: dict[str, Any], values: _Values) -> SceneBackground | None:

@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 from fourd.base.cameras import Camera
 from fourd.scene.attributes import ATTRIBUTES, Attribute
 from fourd.scene.files.encoding import SceneEncoding
+from fourd.scene.files.sound import SceneSound
 
 FORMAT_NAME = "fourd-scene"
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 """The newest version of the file format that this program can read."""
-OBJECT_VERSION, FULL_VERSION, PACKED_VERSION, VIDEO_VERSION = 1, 2, 3, 4
+OBJECT_VERSION, FULL_VERSION, PACKED_VERSION, VIDEO_VERSION, SOUND_VERSION = 1, 2, 3, 4, 5
 """Format versions that are written for object scenes (only dynamic points), full scenes (with a static background),
-packed scenes, and packed scenes of the tier "video". A scene is written in the oldest version that supports its
-contents, so that older programs can read it."""
+packed scenes, packed scenes of the tier "video", and scenes with sound, packed or not. A scene is written in the oldest
+version that supports its contents, so that older programs can read it."""
 SHADOW_IDENTITY = 128
 """The shadow factor that leaves a colour unchanged. Shadows are uint8 factors in units of 1/128."""
 
@@ -172,6 +173,7 @@ class SceneManifest:
         version: version of the file format; set by the writer.
         optional_attributes: names of the optional attributes that the scene has; set by the writer.
         encoding: quantisation parameters of a packed scene. None if the scene is not packed.
+        sound: the sound of the scene, or None if it has none; set by the writer.
 
     Raises:
         ValueError: if fields contradict each other. The error message names the contradictory fields.
@@ -201,6 +203,7 @@ class SceneManifest:
     version: int = OBJECT_VERSION
     optional_attributes: tuple[str, ...] = ()
     encoding: SceneEncoding | None = None
+    sound: SceneSound | None = None
 
     def __post_init__(self) -> None:
         if len(self.source_names) != len(self.source_cameras):
@@ -217,6 +220,11 @@ class SceneManifest:
     @property
     def frame_count(self) -> int:
         return len(self.frame_numbers)
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the scene in seconds."""
+        return self.frame_count / self.fps
 
     @property
     def view_count(self) -> int:

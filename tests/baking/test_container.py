@@ -270,8 +270,8 @@ def test_other_files_and_folders_are_rejected(tmp_path: Path) -> None:
 
 def test_a_newer_version_asks_for_an_update(scene: Path) -> None:
     """Catches a reader that reads a file of a newer format version as if it had the current version."""
-    path = with_manifest(scene, lambda content: content.update(version=5))
-    with pytest.raises(UserError, match="format version 4 or older, got 5; update fourd"):
+    path = with_manifest(scene, lambda content: content.update(version=6))
+    with pytest.raises(UserError, match="format version 5 or older, got 6; update fourd"):
         SceneReader(path)
 
 

@@ -236,7 +236,7 @@ def _background(**fields: object) -> Callable[[dict[str, Any]], None]:
         (lambda content: content.pop("background"), 'expected a key "background", got none'),
         (lambda content: content.update(kind="object"), 'background: expected no background for kind "object"'),
         (lambda content: content.update(version=1), "kind: expected \"object\" in format version 1, got 'full'"),
-        (lambda content: content.update(version=5), "format version 4 or older, got 5; update fourd"),
+        (lambda content: content.update(version=6), "format version 5 or older, got 6; update fourd"),
         (lambda content: content.update(background=[]), "background: expected a JSON object"),
         (lambda content: content["background"].pop("points"), 'background: expected a key "points", got none'),
         (lambda content: content["background"].pop("shadow"), 'background: expected a key "shadow", got none'),

@@ -101,12 +101,12 @@ def test_the_time_bar_seeks(open_viewer: Callable[..., Viewer], scene: Path, tmp
     viewer.until(lambda: current_frame(viewer) == 5 and "paused" in viewer.title, "the last frame")
     viewer.drag((490, y), (330, y))
     viewer.until(lambda: current_frame(viewer) == 3, "the frame in the middle")
-    viewer.key("m")
+    viewer.key("x")
     middle = ((SIZE[0] + PANEL_WIDTH) // 2, (SIZE[1] - BAR_HEIGHT) // 2)
     for x in (middle[0] - 60, middle[0] + 60):
         viewer.click(x, middle[1])
     viewer.until(lambda: (window_image(viewer)[middle[1], middle[0] - 40 : middle[0]] == 255).all(), "a measured line")
-    viewer.key("m")
+    viewer.key("x")
     viewer.until(lambda: not (window_image(viewer)[middle[1]] == 255).all(axis=1).any(), "no measured line")
     viewer.click(*SCREENSHOT)
     viewer.until(lambda: (tmp_path / "ball-001.png").exists(), "a screenshot")
@@ -208,7 +208,7 @@ def test_another_scene_is_shown_from_the_same_view(
     viewer.drag((420, 200), (470, 230))
     stable_image(viewer)
     viewer.until(are_equal, "the same view and frame in both halves")
-    viewer.key("m")
+    viewer.key("x")
     for x in (half // 2 - 40, half + half // 2 + 40):  # the first end on the left, the second one on the right
         viewer.click(x, 172)
 
@@ -218,7 +218,7 @@ def test_another_scene_is_shown_from_the_same_view(
 
     viewer.until(lambda: min(lines()) > 60, "a measured line in both halves")
     assert lines()[0] == lines()[1]
-    viewer.key("m")
+    viewer.key("x")
     viewer.key("v")
     viewer.until(lambda: np.median(halves()[0][:, -1]) > 100, "the line")
     divided = stable_image(viewer)

@@ -15,10 +15,15 @@ from numpy.typing import NDArray
 
 from fourd.base.errors import UserError
 from fourd.base.files import atomic_path, remove_unfinished_file
+from fourd.recording.soundtrack.ogg import RATE
+from fourd.recording.soundtrack.opus import LAYOUTS
+from fourd.viewer.output.sound import VideoSound
 
 # The value 1 stands for BT.709 as the matrix, the primaries and the transfer function (ITU-T H.273). As FFmpeg's
 # color_range, it stands for limited range.
 _BT709 = 1
+SOUND_BIT_RATE = 96_000
+"""Bits per second of each channel of sound."""
 _GIF_MAX_FPS = 50
 """GIF files store times in hundredths of a second, and players slow down images that are shown for less than two."""
 
@@ -32,17 +37,19 @@ class _VideoFormat:
         container: FFmpeg's name of the container.
         encoders: encoders, of which the first one that PyAV has is used.
         pixels: pixel format of the encoded images.
+        sound: encoder of the sound, or None if the file has no sound. Every player of MP4 files plays AAC.
     """
 
     title: str
     container: str
     encoders: tuple[str, ...]
     pixels: str = "yuv420p"
+    sound: str | None = None
 
 
 _FORMATS = {
-    ".mp4": _VideoFormat("H.264", "mp4", ("libx264", "libopenh264", "h264_videotoolbox", "h264")),
-    ".webm": _VideoFormat("VP9", "webm", ("libvpx-vp9",)),
+    ".mp4": _VideoFormat("H.264", "mp4", ("libx264", "libopenh264", "h264_videotoolbox", "h264"), sound="aac"),
+    ".webm": _VideoFormat("VP9", "webm", ("libvpx-vp9",), sound="libopus"),
     ".gif": _VideoFormat("GIF", "gif", ("gif",), "pal8"),
 }
 VIDEO_SUFFIXES = tuple(_FORMATS)
@@ -88,7 +95,14 @@ def is_video(path: Path) -> bool:
     return False
 
 
-def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *, quality: int = 18) -> int:
+def write_video(
+    path: Path | str,
+    images: Iterable[NDArray[Any]],
+    fps: float,
+    *,
+    quality: int = 18,
+    sound: VideoSound | None = None,
+) -> int:
     """Write images as a video. The suffix of ``path`` determines the format:
 
     - .mp4: H.264, yuv420p, BT.709, which every player opens
@@ -103,6 +117,7 @@ def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *,
         fps: images per second, above 0. At most 50 for a GIF.
         quality: constant rate factor (CRF) of x264, from 0 (lossless) to 51. A smaller CRF gives better quality and a
             larger file. VP9 gets the CRF of about the same quality. Other encoders ignore it.
+        sound: the sound of the video: AAC in MP4 files, Opus in WebM files. GIF files have no sound.
 
     Returns:
         The number of images written.
@@ -122,6 +137,7 @@ def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *,
     options = {"movflags": "+faststart"} if kind.container == "mp4" else {}
     count = 0
     stream: Any = None
+    track: _SoundTrack | None = None
     with (
         atomic_path(path) as temporary,
         av.open(str(temporary), "w", format=kind.container, options=options) as container,
@@ -129,11 +145,16 @@ def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *,
         for frame in _frames(images, kind, rate):
             if stream is None:
                 stream = _add_stream(container, encoder, kind, frame, rate, quality)
+                track = None if sound is None or kind.sound is None else _SoundTrack(container, kind.sound, sound)
             _encode(container, stream, frame)
             count += 1
+            if track is not None:
+                track.write_until(count / rate)
         if stream is None:
             raise UserError(f"{path}: expected at least one image for a video, got none")
         _encode(container, stream, None)
+        if track is not None:
+            track.finish()
     return count
 
 
@@ -188,6 +209,33 @@ def _add_stream(container: Any, encoder: str, kind: _VideoFormat, frame: Any, ra
     if encoder == "libvpx-vp9":
         context.bit_rate = 0
     return stream
+
+
+class _SoundTrack:
+    """Encodes the sound of a video along with its images, so that the container keeps few packets in memory."""
+
+    def __init__(self, container: Any, encoder: str, sound: VideoSound) -> None:
+        self._container = container
+        self._stream = container.add_stream(encoder, rate=RATE, layout=LAYOUTS[sound.channels])
+        self._stream.bit_rate = SOUND_BIT_RATE * sound.channels
+        self._layout = LAYOUTS[sound.channels]
+        self._blocks = sound.blocks()
+        self._position = 0
+
+    def write_until(self, seconds: Fraction) -> None:
+        """Encode sound until the time ``seconds`` of the video."""
+        while self._position < seconds * RATE:
+            block = next(self._blocks, None)
+            if block is None:
+                return
+            frame = av.AudioFrame.from_ndarray(np.ascontiguousarray(block), format="fltp", layout=self._layout)
+            frame.sample_rate, frame.pts, frame.time_base = RATE, self._position, Fraction(1, RATE)
+            _encode(self._container, self._stream, frame)
+            self._position += block.shape[1]
+
+    def finish(self) -> None:
+        """Encode what is left in the encoder."""
+        _encode(self._container, self._stream, None)
 
 
 def _to_bytes(image: NDArray[Any]) -> NDArray[np.uint8]:

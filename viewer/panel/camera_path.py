@@ -11,8 +11,9 @@ from fourd.viewer.camera_paths.editor import MAX_STEP_S, MIN_STEP_S, PathEditor
 from fourd.viewer.camera_paths.motion import Easing
 from fourd.viewer.camera_paths.reading import OWN_SUFFIX
 from fourd.viewer.keys import add_key_frame
+from fourd.viewer.output.paths import unused_path
 from fourd.viewer.panel.section import Section
-from fourd.viewer.state import ViewerState, unused_path
+from fourd.viewer.state import ViewerState
 
 _EASINGS: tuple[Easing, ...] = get_args(Easing)
 _STEP_WIDTH, _EASING_WIDTH = 56.0, 78.0

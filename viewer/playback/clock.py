@@ -34,6 +34,11 @@ class Playback:
         return min(int(self._position), self.frame_count - 1)
 
     @property
+    def seconds(self) -> float:
+        """Time of the scene in seconds."""
+        return self._position / self.fps
+
+    @property
     def direction(self) -> int:
         """1 for playback forwards, -1 for playback backwards."""
         return -1 if self.speed < 0 else 1

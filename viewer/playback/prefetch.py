@@ -9,6 +9,7 @@ from typing import Protocol
 
 from fourd.base.errors import UserError
 from fourd.scene import BakedFrame, SceneManifest
+from fourd.scene.files.sound import OpusSound
 
 BUFFER_BYTES = 384 << 20
 MIN_FRAMES = 2
@@ -24,6 +25,9 @@ class BakedFrameSource(Protocol):
 
     def read(self, index: int) -> BakedFrame:
         """Read a frame. Reading can take a long time. Raises UserError if the frame is damaged."""
+
+    def read_sound(self) -> OpusSound | None:
+        """Return the sound, or None if there is none. Raises UserError if it is damaged."""
 
     def close(self) -> None:
         """Close files."""

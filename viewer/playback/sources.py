@@ -66,6 +66,9 @@ class RunSource:
         except FileNotFoundError:  # training replaced the checkpoint during loading
             return self._bake(index)
 
+    def read_sound(self) -> None:
+        """Return None, because the sound is chosen when a scene is written."""
+
     def close(self) -> None:
         """Remove the loaded model from memory."""
         self._trained = None

@@ -6,10 +6,11 @@ import { DEFAULT_BACKGROUND, Stage } from "./play/stage.js";
 import { ByteSource } from "./scene/byte_source.js";
 import { ChangedError, SceneError, describeError } from "./scene/errors.js";
 import { SceneFile } from "./scene/scene_file.js";
-import { parseColour } from "./ui/colour.js";
+import { parseColour, prefersStillness } from "./ui/attributes.js";
 import { Panel } from "./ui/panel.js";
 import { PathControls } from "./ui/path_controls.js";
 import { addShortcuts } from "./ui/shortcuts.js";
+import { SoundButton } from "./ui/sound_button.js";
 import { StyleMenu } from "./ui/style_menu.js";
 import { STYLE } from "./ui/style.js";
 import { VrSession, supportsVr } from "./xr/vr_session.js";
@@ -26,11 +27,11 @@ const LIVE_MS = 2000;
 /**
  * The element `<fourd-player src="scene.4dv">`, which plays a packed scene.
  *
- * Attributes: `src`, `poster` (image that is shown first), `autoplay`, `controls="none"` (no buttons), `background`
- * (a colour such as #203040), `stylize` (name of a style), `mode="reference"` (exact depth peeling), `links` (the
- * page's address contains the view and the time), `timeout` (seconds without data after which a request is repeated, 15
- * by default), `live` (the scene is opened again when it changes on the server), `embedded` (the element is a part of a
- * page that scrolls).
+ * Attributes: `src`, `poster` (image that is shown first), `autoplay`, `controls="none"` (no buttons), `muted` (Play does
+ * not switch the sound on), `background` (a colour such as #203040), `stylize` (name of a style), `mode="reference"`
+ * (exact depth peeling), `links` (the page's address contains the view and the time), `timeout` (seconds without data
+ * after which a request is repeated, 15 by default), `live` (the scene is opened again when it changes on the server),
+ * `embedded` (the element is a part of a page that scrolls).
  * Events: `ready` after the first image, and `error`.
  */
 export class FourdPlayer extends HTMLElement {
@@ -63,6 +64,7 @@ export class FourdPlayer extends HTMLElement {
     this.isInView = true;
     this.styleMenu = new StyleMenu(this);
     this.cameraPath = new PathControls(this);
+    this.soundButton = new SoundButton(this);
     this.controls = new Controls(this.panel.canvas, this, () => this.stage?.pose ?? null, (pose) => this.stage?.setPose(pose));
     /** Shows the view of a link that the user opens in the page that is already open. */
     this.followLink = () => this.#follow(location.hash);
@@ -141,6 +143,7 @@ export class FourdPlayer extends HTMLElement {
   togglePlay() {
     this.stage?.store.retry();
     this.stage?.clock.toggle();
+    if (this.stage?.clock.isPlaying) this.soundButton.play();
   }
 
   /**
@@ -326,6 +329,7 @@ export class FourdPlayer extends HTMLElement {
       const elapsed = Math.max(now - last, 0) / 1000;
       last = now;
       if (!this.isInView && !this.vr) {
+        stage.playback.sound?.rest();
         requestAnimationFrame(step);
         return;
       }
@@ -341,6 +345,7 @@ export class FourdPlayer extends HTMLElement {
       if (!stage.isWaiting) waitingSince = now;
       this.panel.spinner.hidden = now - waitingSince < SPINNER_DELAY_MS || !this.panel.message.hidden;
       this.panel.showTime(stage.clock);
+      this.soundButton.show();
       this.classList.toggle("quiet", stage.clock.isPlaying && now - this.lastInput > QUIET_MS);
       requestAnimationFrame(step);
     };
@@ -389,11 +394,6 @@ export class FourdPlayer extends HTMLElement {
     canvas.height = height;
     if (this.stage) this.stage.isDirty = true;
   }
-}
-
-/** Whether the user has asked the system for less motion. */
-function prefersStillness() {
-  return matchMedia("(prefers-reduced-motion: reduce)").matches;
 }
 
 if (!customElements.get("fourd-player")) customElements.define("fourd-player", FourdPlayer);

@@ -17,7 +17,7 @@ from fourd.base.processes import locked_folder
 from fourd.base.progress import Terminal, Tracker
 from fourd.base.storage import local_path
 from fourd.cli.help import RARE
-from fourd.cli.options import OFFSET_HELP, FramesPerSecond, describe, option, parse_offsets
+from fourd.cli.options import OFFSET_HELP, SOUNDTRACK_HELP, FramesPerSecond, describe, option, parse_offsets
 from fourd.cli.outputs import READS, require_distinct
 from fourd.recording.capture.frame_rate import check_rate
 from fourd.recording.import_choices import FORMAT_NAMES, CalibratedFrames, PairBy, PrincipalPointMode, SyncMethod
@@ -128,6 +128,7 @@ class Arguments:
         tyro.conf.UseAppendAction[tuple[str, ...]],
         tyro.conf.arg(metavar="CAM,CAM=METRES|FACTOR", help=SCALE_HELP, help_behavior_hint="(repeatable)"),
     ] = field(default=())
+    sound: Annotated[str, option("auto|none|CAM|FILE", "auto", SOUNDTRACK_HELP)] = "auto"
     board: Annotated[str | None, RARE, option("COLSxROWSxSQUARE_M", "none", BOARD_HELP)] = None
 
 
@@ -158,7 +159,8 @@ def run(arguments: Arguments) -> None:
     picked = pick_format(name[0] if name else default, Path(source))
     log(f"{picked.name}: {picked.summary}")
     with locked_folder(Path(out)):
-        import_source(picked, Path(source), Path(out), options, log=log, warn=warn, track=Tracker(console).track)
+        track = Tracker(console).track
+        import_source(picked, Path(source), Path(out), options, log=log, warn=warn, track=track, sound=arguments.sound)
     Terminal().print(
         Text("Imported", "green"), f"next: {command_line('fourd', 'check', Path(out))}", sep="; ", soft_wrap=True
     )

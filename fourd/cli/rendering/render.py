@@ -22,6 +22,7 @@ from fourd.cli.rendering.lens_options import LensOptions
 from fourd.cli.rendering.opening import open_source, through_lens
 from fourd.cli.rendering.output_options import OutputOptions, OutputWriter, check_outputs
 from fourd.cli.rendering.path_options import PathOptions, check_path_options, make_plan, path_scene
+from fourd.cli.rendering.sound import video_sound
 from fourd.cli.rendering.stereo_options import Eyes, StereoOptions, make_eyes
 from fourd.cli.scenes.description.values import count_text
 
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
     from fourd.base.cameras import Camera
     from fourd.scene.playable import Playable
+    from fourd.viewer.output.sound import VideoSound
 
 
 @dataclass(frozen=True)
@@ -156,16 +158,25 @@ def _render(arguments: Arguments, source: Location, console: Console) -> str:
     if arguments.optics.is_used:
         seen = through_lens(arguments.optics, source, playable, frames, eyes.rights)
     pictures = (_picture(seen, eyes, shot, arguments) for shot in _track(shots, console))
-    _write(arguments, shots, pictures, arguments.fps or fps)
+    rate, sound = arguments.fps or fps, None
+    if is_video(arguments.out) and arguments.out.suffix.lower() != ".gif":
+        sound = video_sound(source, [shot.frame for shot in shots], rate, console)
+    _write(arguments, shots, pictures, rate, sound)
     return count_text(len(shots), "image")
 
 
-def _write(arguments: Arguments, shots: list[_Shot], pictures: Iterable[NDArray[np.uint8]], fps: float) -> None:
+def _write(
+    arguments: Arguments,
+    shots: list[_Shot],
+    pictures: Iterable[NDArray[np.uint8]],
+    fps: float,
+    sound: VideoSound | None,
+) -> None:
     from fourd.viewer.output.png import write_png
     from fourd.viewer.output.video import is_video, write_video
 
     if is_video(arguments.out):
-        write_video(arguments.out, pictures, fps)
+        write_video(arguments.out, pictures, fps, sound=sound)
         return
     for shot, picture in zip(shots, pictures, strict=True):
         write_png(arguments.out / shot.folder / f"{shot.name}.png", picture)

@@ -15,8 +15,9 @@ from fourd.base.errors import UserError, command_line
 from fourd.base.files import require_suffix
 from fourd.base.progress import Terminal, Tracker
 from fourd.base.storage import local_output, local_path
+from fourd.cli.help import RARE
 from fourd.cli.locations import OutLocation, transfer_progress
-from fourd.cli.options import TIER_HELP, Frames, MaxMbps, check_mbps, check_rendering, describe, option
+from fourd.cli.options import SOUNDTRACK_HELP, TIER_HELP, Frames, MaxMbps, check_mbps, check_rendering, describe, option
 from fourd.cli.outputs import READS
 from fourd.scene.exporting.format import Format
 from fourd.scene.files.encoding import Tier
@@ -51,6 +52,7 @@ class Arguments:
         option("{full,stream,video,light}", "not packed"),
     ] = None
     max_mbps: MaxMbps = None
+    sound: Annotated[str, RARE, option("auto|none|CAM|FILE", "auto", SOUNDTRACK_HELP)] = "auto"
     to: Annotated[
         Format | None,
         describe(
@@ -103,7 +105,9 @@ def _bake(arguments: Arguments, out: Path, console: Console) -> None:
 
     packed = arguments.tier is not None or arguments.max_mbps is not None
     pack = PackSettings(arguments.tier or "full", arguments.max_mbps) if packed else None
-    stage = bake_stage(BakeFiles(arguments.source, out), BakeSettings(arguments.layers, arguments.fps, pack))
+    stage = bake_stage(
+        BakeFiles(arguments.source, out), BakeSettings(arguments.layers, arguments.fps, pack, arguments.sound)
+    )
     Runner(Context(console)).run([stage])
 
 

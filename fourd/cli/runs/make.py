@@ -19,6 +19,7 @@ from fourd.cli.help import RARE
 from fourd.cli.locations import PATH_OR_URL, OutLocation
 from fourd.cli.options import (
     OFFSET_HELP,
+    SOUNDTRACK_HELP,
     TIER_HELP,
     FramesPerSecond,
     Workers,
@@ -87,6 +88,7 @@ class Arguments:
         RARE,
         tyro.conf.arg(metavar="CAM=FRAMES", help=OFFSET_HELP, help_behavior_hint="(repeatable)"),
     ] = ()
+    sound: Annotated[str, option("auto|none|CAM|FILE", "auto", SOUNDTRACK_HELP)] = "auto"
     tier: Annotated[
         Literal[Tier, "none"],
         RARE,
@@ -148,6 +150,7 @@ def run(arguments: Arguments) -> None:
                 sync_if_possible=arguments.sync == "auto",
             ),
             pack=None if arguments.tier == "none" else PackSettings(arguments.tier),
+            sound=arguments.sound,
             accept_mattes=options.accept_mattes,
             keep_chosen_mattes=not arguments.mattes.is_given,
             cluster=cluster,

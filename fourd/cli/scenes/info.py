@@ -42,6 +42,7 @@ from fourd.recording.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.recording.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES, camera_folders
 
 if TYPE_CHECKING:
+    from fourd.scene.files.sound import SceneSound
     from fourd.scene.scene import SceneBackground
 
 Rows = list[tuple[str, str]]
@@ -191,6 +192,7 @@ def _scene(path: Location) -> Rows:
         *([] if manifest.is_fps_known else [("frame rate", "assumed: the scene does not state the recording's rate")]),
         ("points", f"{span_text(points)} per frame, {sum(points):,} in total"),
         *_background(manifest.background),
+        *_sound(manifest.sound),
         ("size", f"{bytes_text(size)}, {bytes_text((size - background_bytes) / max(frames, 1))} per frame"),
         ("source views", f"{manifest.view_count} ({manifest.neighbours} blended): {names_text(manifest.source_names)}"),
         ("other views", names_text(manifest.other_names) or "none"),
@@ -207,6 +209,14 @@ def _background(background: SceneBackground | None) -> Rows:
         return []
     shadow = "with a shadow in every frame" if background.shadow else "without shadows"
     return [("background", f"{background.points:,} points, stored once, {shadow}")]
+
+
+def _sound(sound: SceneSound | None) -> Rows:
+    if sound is None:
+        return []
+    channels = "stereo" if sound.channels == 2 else "mono"
+    start = f" from {sound.start:.2f} s" if sound.start else ""
+    return [("sound", f"{sound.duration:.2f} s{start}, Opus, {channels}, {bytes_text(sound.bytes)}")]
 
 
 def _splats(path: Path) -> Rows:

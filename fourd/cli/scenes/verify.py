@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -16,12 +16,15 @@ from fourd.cli.locations import PATH_OR_URL, transfer_progress
 from fourd.cli.outputs import READS
 from fourd.reconstruction.training.run_layout import CHECKPOINTS, CONFIG_NAME, checkpoint_files, segment_folders
 
+if TYPE_CHECKING:
+    from fourd.scene.container import SceneReader
+
 
 @dataclass(frozen=True)
 class Arguments:
     """For a run, the command compares every checkpoint, including checkpoints of segments, with its BLAKE2b digests.
-    For a scene, the command compares every member of the file with its CRC-32 checksum and decodes all frames. For a
-    capture, the command decodes every image, matte and video. No file is changed."""
+    For a scene, the command compares every member of the file with its CRC-32 checksum and decodes all frames and the
+    sound. For a capture, the command decodes every image, matte and video. No file is changed."""
 
     path: tyro.conf.Positional[Annotated[Location, READS, PATH_OR_URL, tyro.conf.arg(metavar="RUN|SCENE|CAPTURE")]]
     """A run folder, a .4dv file or a capture folder, or the URL of one."""
@@ -58,9 +61,26 @@ def _verify_scene(path: Path, track: Tracker) -> str:
         count = reader.manifest.frame_count
         for frame in track.track(range(count), count, "frames"):
             reader.read(frame)
+        has_sound = _verify_sound(path, reader)
     finally:
         reader.close()
-    return f"whole; {count} frames"
+    return f"whole; {count} frames{' and sound' if has_sound else ''}"
+
+
+def _verify_sound(path: Path, reader: SceneReader) -> bool:
+    """Decode the sound of a scene. Returns whether it has one."""
+    from fourd.recording.soundtrack.ogg import OggError
+    from fourd.recording.soundtrack.opus import decode_opus
+
+    sound = reader.read_sound()
+    if sound is None:
+        return False
+    try:
+        for _ in decode_opus(sound.content):
+            pass
+    except OggError as error:
+        raise UserError(f"{path}: {error} in its sound; the file is damaged: copy or export it again") from error
+    return True
 
 
 def _verify_run(path: Path, console: Terminal, track: Tracker) -> str:

@@ -21,6 +21,7 @@ from fourd.recording.capture.pictures.alpha import ALPHA_NOTE, alpha_is_matte
 from fourd.recording.capture.pictures.masks import MaskFolder
 from fourd.recording.capture.video import VideoIndex
 from fourd.recording.capture.video_index import cached_indices
+from fourd.recording.capture.video_list import align_videos
 from fourd.recording.import_choices import CalibratedFrames, PairBy, PrincipalPointMode, SyncMethod
 from fourd.recording.importing.detection import Format
 from fourd.recording.importing.frame_geometry import match_calibrations, reduced_indices
@@ -48,8 +49,12 @@ from fourd.recording.importing.time_offsets import (
     estimate_with_cameras,
 )
 from fourd.recording.importing.writer import ImportSettings, check_import, write_capture
+from fourd.recording.soundtrack.captures import keep_sound
 
 Indices = Mapping[str, VideoIndex]
+
+LATER = "later"
+"""No sound is written, because it is chosen when a scene is made from the capture."""
 
 MAX_SAMPLE_FRAMES = 3
 """Number of frames whose images are matched to check a calibration of at most FEW_CAMERAS cameras."""
@@ -115,7 +120,15 @@ class ImportOptions:
 
 
 def import_source(
-    source_format: Format, source: Path, out: Path, options: ImportOptions, *, log: Log, warn: Log, track: Track
+    source_format: Format,
+    source: Path,
+    out: Path,
+    options: ImportOptions,
+    *,
+    log: Log,
+    warn: Log,
+    track: Track,
+    sound: str = LATER,
 ) -> None:
     """Write ``source`` as a capture into the folder ``out``. To complete an interrupted import, call the function
     again. The calibration files are written after the images, videos and mattes.
@@ -128,6 +141,8 @@ def import_source(
         log: called with one line for each result or choice.
         warn: called with one line for each suspected error.
         track: wraps loops to report progress.
+        sound: the value of --sound, see :func:`fourd.recording.soundtrack.choice.choose_sound`, or LATER, with which
+            no sound is written.
 
     Raises:
         UserError: when the source or an option is invalid.
@@ -146,6 +161,7 @@ def import_source(
         log(note)
     calibration, files, asked = *digests(imported), asdict(options)
     same = before is not None and (before.calibration, before.files, before.options) == (calibration, files, asked)
+    same = same and before is not None and sound in (LATER, before.sound)
     if before is not None and same and before.done and _has_calibration(out):
         remove_unfinished(out, deep=True)
         indices = _read_indices(imported, out, options, track)
@@ -155,6 +171,7 @@ def import_source(
         return
     started = before or ImportRecord(str(resolved(source)), source_format.name, "", files, {}, {}, False, False, ())
     record = replace(started, calibration=calibration, options=asked, done=False, warnings=())
+    record = record if sound == LATER else replace(record, sound=sound)
     check_unpacked(out, started, files, started.offsets, options.reduce)
     write_record(out, record)
     remove_unfinished(out, deep=True)
@@ -171,6 +188,8 @@ def import_source(
     record = replace(record, files=files, offsets=offsets, unpacked=started.unpacked or options.unpack)
     write_record(out, record)
     notes = _write(imported, indices, out, options, offsets, track, with_calibration=True)
+    if sound != LATER:
+        keep_sound(out, sound, align_videos(video_files(imported.cameras), indices, offsets), log, track)
     _tell_all((*notes, *_describe_mattes(out, warnings)), log)
     _tell_all(warnings, warn)
     write_record(out, replace(record, done=True, warnings=tuple(warnings)))

@@ -41,6 +41,7 @@ class ImportRecord:
         done: whether the import finished.
         warnings: warnings of the import.
         unsure: large time offsets that were found, but were not sure enough to be applied.
+        sound: the user's choice of the sound.
     """
 
     source: str
@@ -53,6 +54,7 @@ class ImportRecord:
     done: bool
     warnings: tuple[str, ...]
     unsure: dict[str, Number] = field(default_factory=dict)
+    sound: str = "auto"
 
 
 def read_record(out: Path) -> ImportRecord | None:
@@ -86,10 +88,7 @@ def describe_unsure(capture: Path) -> str:
 
     A corrected capture has no record of its own. Its list of videos is a link to that of the imported capture.
     """
-    folder = (capture / VIDEO_LIST).resolve().parent
-    if not (folder / RECORD).is_file():
-        return ""
-    record = read_record(folder)
+    record = _record_of(capture)
     if record is None or not record.unsure:
         return ""
     found = ", ".join(f"{name} {frames:+g}" for name, frames in record.unsure.items())
@@ -98,6 +97,17 @@ def describe_unsure(capture: Path) -> str:
         f"time offsets were found but not applied, because they are not sure ({found} frames); "
         f"to apply them, add --offset {option} to fourd make or fourd import"
     )
+
+
+def sound_choice(capture: Path) -> str:
+    """Return the choice of the sound with which a capture was imported, or "auto" if it is not from an import."""
+    record = _record_of(capture)
+    return "auto" if record is None else record.sound
+
+
+def _record_of(capture: Path) -> ImportRecord | None:
+    folder = (capture / VIDEO_LIST).resolve().parent
+    return read_record(folder) if (folder / RECORD).is_file() else None
 
 
 def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) -> None:

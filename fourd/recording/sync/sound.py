@@ -18,6 +18,7 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from fourd.base.errors import UserError
 from fourd.recording.capture.video import open_container
+from fourd.recording.soundtrack.reading import decode_blocks
 from fourd.recording.sync.pairs import camera_confidence, solve_offsets
 
 Array = NDArray[np.float64]
@@ -32,9 +33,6 @@ LOW_HZ, HIGH_HZ = 200.0, 3000.0
 the noise of phones is above it."""
 MAX_LAG_SECONDS = 60.0
 MIN_OVERLAP_SECONDS = 0.25
-MAX_GAP_SECONDS = 0.005
-"""Maximum duration, in seconds, of a gap between two decoded audio frames that is ignored. Longer gaps are filled with
-silence."""
 SILENCE_RMS = 1e-4
 """Level below which a soundtrack is treated as silent, as a fraction of full scale. The value corresponds to -80 dB."""
 ECHO_SECONDS = 0.06
@@ -105,24 +103,15 @@ def read_soundtrack(path: Path, video_start: float) -> Soundtrack | None:
         UserError: if the soundtrack is damaged.
     """
     blocks: list[Samples] = []
-    start, count = None, 0
+    start, count = 0.0, 0
     try:
         with open_container(path) as container:
             if not container.streams.audio:
                 return None
-            resampler = av.AudioResampler(format="flt", layout="mono", rate=RATE)
-            for frame in container.decode(container.streams.audio[0]):
-                if frame.pts is not None and frame.time_base is not None:
-                    time = float(frame.pts * frame.time_base)
-                    start = time if start is None else start
-                    missing = round((time - start - count / RATE) * RATE)
-                    if missing > MAX_GAP_SECONDS * RATE:
-                        blocks.append(np.zeros(min(missing, round(MAX_SECONDS * RATE)), np.float32))
-                        count += len(blocks[-1])
-                frame.pts = None
-                for part in resampler.resample(frame):
-                    blocks.append(part.to_ndarray().reshape(-1).astype(np.float32))
-                    count += len(blocks[-1])
+            for block in decode_blocks(container, RATE, "mono"):
+                start = start if blocks else block.seconds
+                blocks.append(block.samples[0])
+                count += len(blocks[-1])
                 if count >= MAX_SECONDS * RATE:
                     break
     except (av.FFmpegError, OSError, ValueError) as error:
@@ -132,7 +121,7 @@ def read_soundtrack(path: Path, video_start: float) -> Soundtrack | None:
             "--sync-by motion"
         ) from error
     samples = np.concatenate(blocks) if blocks else np.zeros(0, np.float32)
-    return Soundtrack(samples[: round(MAX_SECONDS * RATE)], (start or 0.0) - video_start)
+    return Soundtrack(samples[: round(MAX_SECONDS * RATE)], start - video_start)
 
 
 def estimate_sound_offsets(soundtracks: Sequence[Soundtrack]) -> SoundOffsets:

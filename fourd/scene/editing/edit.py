@@ -15,9 +15,11 @@ from fourd.scene.container import SceneReader, SceneWriter
 from fourd.scene.editing.geometry import SceneGeometry, parse_region, shifted, turned, upright
 from fourd.scene.editing.merging import Merged, OnBackground, without_views
 from fourd.scene.editing.similarity import Similarity
+from fourd.scene.editing.sound import edited_sound
 from fourd.scene.editing.sources import Cropped, FrameSource, Mapped, Trimmed, WithoutBackground, moved, tinted
 from fourd.scene.editing.tint import Tint
 from fourd.scene.files.encoding import Tier
+from fourd.scene.files.sound import OpusSound
 from fourd.scene.packing.pack import pack_scene
 from fourd.scene.packing.transcode import copy_frames
 from fourd.scene.scene import to_triple
@@ -134,17 +136,18 @@ def edit_scene(
         before, encoding = reader.manifest, reader.manifest.encoding
         chosen = parse_frame_range(edits.trim, before.frame_count, "scene", "--trim")
         edited = _edited(reader, source, edits, chosen, stack, log)
+        sound = edited_sound(reader, chosen, edits.speed, log)
         if encoding is not None and edits.keeps_points and tier in (None, encoding.tier):
             copied = edited.manifest
             if copied.kind == "object":
                 encoding = replace(encoding, background=None)
-            copy_frames(reader, out, chosen, replace(copied, encoding=encoding), track)
+            copy_frames(reader, out, chosen, replace(copied, encoding=encoding), sound, track)
             mean = float(np.mean(copied.points))
             return EditReport(before.frame_count, len(chosen), mean, mean)
         if tier is None and encoding is not None:
             tier = "light" if edited.manifest.view_count == 0 else encoding.tier
         raw = out if tier is None else scratch / "edited.4dv"
-        counts = _write(edited, raw, source, track)
+        counts = _write(edited, raw, source, sound, track)
         if tier is not None:
             pack_scene(raw, out, tier, track)
     counts_before = [before.points[index] for index in chosen]
@@ -205,11 +208,13 @@ def _in_unit_of(other: FrameSource, scene: FrameSource) -> FrameSource:
     return moved(other, Similarity(own / wanted, np.eye(3), np.zeros(3)))
 
 
-def _write(edited: FrameSource, out: Path, name: Path, track: Track) -> list[int]:
+def _write(edited: FrameSource, out: Path, name: Path, sound: OpusSound | None, track: Track) -> list[int]:
     """Write all frames, and return their numbers of points."""
     manifest, counts = edited.manifest, []
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
     with SceneWriter(out, replace(manifest, points=(), encoding=None, background=None)) as writer:
+        if sound is not None:
+            writer.add_sound(sound)
         background = edited.read_background()
         if background is not None:
             writer.add_background(background)

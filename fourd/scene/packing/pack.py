@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from fourd.base.errors import UserError
 from fourd.base.progress import Track, untracked
-from fourd.scene.container import frame_folder
 from fourd.scene.files.encoding import CloudEncoding, SceneEncoding, Tier
 from fourd.scene.packed.members import encode_cloud, morton_sorted, optional_member
+from fourd.scene.packed.names import frame_folder
 from fourd.scene.packed.streams import Compression, compress
 from fourd.scene.packing.bounds import ColourErrors, check_bounds
 from fourd.scene.packing.fit import fit_encoding, merge_samples, sample_cloud
@@ -158,7 +158,7 @@ class _Packer:
     def write(self, out: Path, track: Track, storage: Storage | None) -> PackReport:
         """Write all frames and the background."""
         frames = range(self.manifest.frame_count)
-        with PackedWriter(out, self.manifest, storage) as writer:
+        with PackedWriter(out, self.manifest, storage, self.reader.read_sound()) as writer:
             order: NDArray[np.int64] | None = None
             if self.background is not None and self.encoding.background is not None:
                 order = morton_sorted(self.background, self.encoding.background)

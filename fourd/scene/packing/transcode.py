@@ -8,10 +8,12 @@ from pathlib import Path
 
 from fourd.base.errors import UserError
 from fourd.base.progress import Track, untracked
-from fourd.scene.container import BACKGROUND, SceneReader, frame_folder
+from fourd.scene.container import SceneReader
 from fourd.scene.files.encoding import SH_NUMBERS, CloudEncoding
+from fourd.scene.files.sound import OpusSound
 from fourd.scene.packed.images import largest_image
 from fourd.scene.packed.members import optional_member, packed_names
+from fourd.scene.packed.names import BACKGROUND, frame_folder
 from fourd.scene.packed.streams import decompress
 from fourd.scene.packing.writer import PackedWriter, Storage
 from fourd.scene.scene import BakedFrame, SceneManifest
@@ -35,7 +37,7 @@ def transcode_scene(
             raise UserError(f"{source}: expected a packed scene, got version {manifest.version}; use fourd pack first")
         adds_normals = has_normals and "normals" not in manifest.optional_attributes
         written = replace(manifest, optional_attributes=(*manifest.optional_attributes, "normals"))
-        with PackedWriter(out, written if adds_normals else manifest, storage) as writer:
+        with PackedWriter(out, written if adds_normals else manifest, storage, reader.read_sound()) as writer:
             background = reader.read_background()
             if background is not None and manifest.encoding.background is not None:
                 points = background.point_count
@@ -54,7 +56,12 @@ def transcode_scene(
 
 
 def copy_frames(
-    reader: SceneReader, out: Path, chosen: Sequence[int], manifest: SceneManifest, track: Track = untracked
+    reader: SceneReader,
+    out: Path,
+    chosen: Sequence[int],
+    manifest: SceneManifest,
+    sound: OpusSound | None = None,
+    track: Track = untracked,
 ) -> None:
     """Write the frames of a packed scene with the indices ``chosen`` as ``out``, without quantising the points again.
 
@@ -62,12 +69,14 @@ def copy_frames(
         reader: the packed scene.
         manifest: the manifest of the result, with ``encoding``. Its kind may be "object" although the scene has a
             background, which is then left out.
+        sound: the sound of the chosen frames, or None.
+        track: reports progress.
 
     Raises:
         UserError: if the scene is damaged, or if ``out`` cannot be written.
     """
     has_background = manifest.kind == "full"
-    with PackedWriter(out, manifest) as writer:
+    with PackedWriter(out, manifest, None, sound) as writer:
         background = reader.read_background() if has_background else None
         assert manifest.encoding is not None
         if background is not None and manifest.encoding.background is not None:

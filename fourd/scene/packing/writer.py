@@ -15,12 +15,13 @@ from pathlib import Path
 from types import TracebackType
 
 from fourd.base.files import atomic_path, remove_unfinished_file
-from fourd.scene.container import BACKGROUND, MANIFEST_NAME, SHADOW, frame_folder
 from fourd.scene.files.archive import disk_errors, make_member, open_zip
+from fourd.scene.files.sound import SOUND_NAME, OpusSound
 from fourd.scene.manifest import manifest_to_json
 from fourd.scene.packed.members import optional_member, packed_names, view_member
+from fourd.scene.packed.names import BACKGROUND, MANIFEST_NAME, SHADOW, frame_folder
 from fourd.scene.packed.streams import Compression, compress
-from fourd.scene.scene import PACKED_VERSION, VIDEO_VERSION, SceneManifest
+from fourd.scene.scene import PACKED_VERSION, SOUND_VERSION, VIDEO_VERSION, SceneManifest
 
 _BYTES_PER_MEMBER = 64
 """Bytes that are reserved in the manifest for the name, the offset and the size of one member."""
@@ -56,15 +57,21 @@ class PackedWriter:
         manifest: manifest of the scene, with ``points``, ``background`` and ``encoding``. The values in ``points`` are
             upper limits; the written file contains the actual numbers of points of the added frames.
         storage: compression and order of the members.
+        sound: the sound of the scene, or None. It replaces the ``sound`` of the manifest.
 
     Raises:
         UserError: if the disk is full or the path cannot be written.
     """
 
-    def __init__(self, path: Path | str, manifest: SceneManifest, storage: Storage | None = None) -> None:
+    def __init__(
+        self, path: Path | str, manifest: SceneManifest, storage: Storage | None = None, sound: OpusSound | None = None
+    ) -> None:
         self.path = Path(path)
         has_images = manifest.encoding is not None and manifest.encoding.tier == "video"
-        self.manifest = replace(manifest, version=VIDEO_VERSION if has_images else PACKED_VERSION)
+        described = None if sound is None else sound.describe()
+        version = SOUND_VERSION if sound is not None else VIDEO_VERSION if has_images else PACKED_VERSION
+        self.manifest = replace(manifest, version=version, sound=described)
+        self._sound = sound
         self._storage = storage or Storage()
         self._stack = ExitStack()
         self._zip: zipfile.ZipFile | None = None
@@ -78,6 +85,8 @@ class PackedWriter:
             self._temporary = stack.enter_context(atomic_path(self.path))
             self._zip = zipfile.ZipFile(self._temporary, "w", zipfile.ZIP_STORED, allowZip64=True)
             self._zip.writestr(make_member(MANIFEST_NAME), b" " * self._manifest_room())
+            if self._sound is not None:
+                self._zip.writestr(make_member(SOUND_NAME), self._sound.content)
             self._stack = stack.pop_all()
         return self
 
@@ -134,7 +143,7 @@ class PackedWriter:
     def _manifest_room(self) -> int:
         """Return an upper bound of the size of the complete manifest, in bytes."""
         frames = self.manifest.frame_count
-        members = (frames + 1) * (len(packed_names(self.manifest)) + 1)
+        members = (frames + 1) * (len(packed_names(self.manifest)) + 1) + 1
         names = sum(len(name) for name in self.manifest.optional_attributes) * (frames + 1)
         content = len(manifest_to_json(self.manifest))
         return content + _BYTES_PER_MEMBER * members + names + _BYTES_PER_FRAME * frames

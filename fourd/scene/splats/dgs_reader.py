@@ -103,6 +103,9 @@ class DgsReader:
     def read_shadow(self, index: int) -> None:
         """Return None, because splats have no shadows."""
 
+    def read_sound(self) -> None:
+        """Return None, because the sound of such files is not read."""
+
     def cloud(self, index: int) -> SplatCloud:
         """Return the splats of the frame with the 0-based ``index``. Raises UserError if the file is damaged."""
         from fourdgs.indexed_reader import read_chunk

@@ -68,6 +68,9 @@ class SplatReader:
     def read_shadow(self, index: int) -> None:
         """Return None, because splats have no shadows."""
 
+    def read_sound(self) -> None:
+        """Return None, because splats have no sound."""
+
 
 Reader = SceneReader | SplatReader | DgsReader
 

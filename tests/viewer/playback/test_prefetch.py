@@ -16,7 +16,7 @@ import pytest
 
 from fourd.base.errors import UserError
 from fourd.scene import BakedFrame, SceneBackground, SceneManifest, SceneReader
-from fourd.scene.container import member_name
+from fourd.scene.packed.names import member_name
 from fourd.viewer.playback.prefetch import FramePrefetcher
 from tests.baking.scenes import manifest, random_frame, write_scene
 

@@ -92,7 +92,7 @@ def test_a_damaged_member(content: bytes, show: Show) -> None:
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (lambda m: m.update(version=5), "The scene has format version 5, but this player reads version 4"),
+        (lambda m: m.update(version=6), "The scene has format version 6, but this player reads version 5"),
         (lambda m: m["frames"][0].update(points=3999), "frames/000000/"),
         (lambda m: m["frames"][0].update(points=10**9), "frames[0], points: expected a number from 0 to"),
         (lambda m: m["encoding"]["dynamic"].update(sh_rows=1), "sh_basis: expected 48 finite numbers"),

@@ -5,6 +5,7 @@ import { BACKGROUND } from "../scene/members.js";
 import { LONGEST_WAIT, adaptStride, planStart } from "./buffering.js";
 import { Clock } from "./clock.js";
 import { FrameStore } from "./frame_store.js";
+import { Sound } from "./sound.js";
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 /** @typedef {import("../draw/projected_points.js").Picture} Picture */
 
@@ -35,6 +36,8 @@ export class Playback {
     this.store = new FrameStore(file, pool, changed, failed);
     this.sorter = new Sorter();
     this.clock = new Clock(this.manifest.points.length, this.manifest.fps);
+    /** The sound of the scene, or null if it has none. */
+    this.sound = this.manifest.sound ? new Sound(file, this.manifest.sound, this.clock) : null;
     /** Whether the frame that is due cannot be shown yet. */
     this.isWaiting = true;
     /** Whether playback is waiting for enough frames to continue without a pause. */
@@ -60,6 +63,7 @@ export class Playback {
    */
   update(elapsed, camera) {
     this.#advance(elapsed);
+    this.sound?.follow(this.clock.isPlaying && !this.isBuffering);
     const { views } = selectSourceViews(camera, this.manifest);
     const { clock } = this;
     const { frame, isPlaying } = clock;
@@ -100,11 +104,13 @@ export class Playback {
   picture(camera, selection) {
     const { order, manifest } = this;
     if (!order || !this.store.hasPoints(order.frame)) return null;
+    this.sound?.shown(order.frame);
     const shadow = this.store.get(order.frame)?.shadow ?? null;
     return { clouds: this.#clouds(order.frame), shadow, order, camera, selection, layers: manifest.layers };
   }
 
   release() {
+    this.sound?.release();
     this.sorter.release();
     this.store.release();
   }

@@ -34,6 +34,13 @@ import { largestContent } from "./limits.js";
  */
 
 /**
+ * The sound of a scene.
+ * @typedef {object} SoundEntry
+ * @property {number} start Time of the first sample in seconds from the start of frame 0.
+ * @property {number} duration In seconds.
+ */
+
+/**
  * @typedef {object} Manifest
  * @property {NamedCamera[]} sources Source views.
  * @property {NamedCamera[]} cameras Source views, then other cameras of the capture.
@@ -50,18 +57,22 @@ import { largestContent } from "./limits.js";
  * @property {number} pixelFilter Weight, from 0 to 0.25, of each neighbour in the 3-tap filters along rows and columns.
  * @property {{points: number, shadow: boolean} | null} background
  * @property {boolean} hasNormals
+ * @property {SoundEntry | null} sound
  * @property {CloudEncoding} dynamicEncoding
  * @property {CloudEncoding | null} backgroundEncoding
  * @property {Map<string, [number, number]>} members Offset and size in bytes of each member.
  */
 
 export const SH_NUMBERS = 48;
-const VERSION = 4;
+const VERSION = 5;
 /** Version of packed scenes whose colours are not stored as images. */
 const PACKED_VERSION = 3;
 const MAX_POINTS = 1 << 24;
 const MAX_FRAMES = 1_000_000;
 const MAX_VIEWS = 4096;
+const MAX_SECONDS = 1e6;
+/** Time in seconds by which the sound may outlast the last frame. */
+const SOUND_TOLERANCE = 0.1;
 
 /**
  * Parses and checks the text of a manifest.
@@ -93,12 +104,25 @@ export function parseManifest(text) {
     pixelFilter: root.number("pixel_filter", 0, 0.25, 0),
     background: described && { points: described.integer("points", 0, MAX_POINTS), shadow: described.flag("shadow") },
     hasNormals: hasNormals(root),
+    sound: root.has("sound") ? soundEntry(root.node("sound")) : null,
     dynamicEncoding: cloudEncoding(encoding.node("dynamic")),
     backgroundEncoding: full ? cloudEncoding(encoding.node("background")) : null,
     members: members(root.node("members")),
   };
   checkCounts(manifest);
+  checkSound(manifest);
   return manifest;
+}
+
+/**
+ * Checks that the sound ends with the scene.
+ * @param {Manifest} manifest
+ */
+function checkSound({ sound, points, fps }) {
+  if (sound && sound.start + sound.duration > points.length / fps + SOUND_TOLERANCE) {
+    const end = `got an end at ${sound.start + sound.duration} s`;
+    throw new SceneError(`manifest.json, sound: expected sound that ends with the scene, ${end}; export the scene again`);
+  }
 }
 
 /** @param {JsonNode} root */
@@ -108,6 +132,15 @@ function hasNormals(root) {
   const normals = attributes.node("normals");
   if (normals.text("dtype") !== "|u1") throw normals.failure("dtype", '"|u1"');
   return true;
+}
+
+/**
+ * @param {JsonNode} node
+ * @returns {SoundEntry}
+ */
+function soundEntry(node) {
+  if (node.text("codec") !== "opus") throw node.failure("codec", '"opus"');
+  return { start: node.number("start", 0, MAX_SECONDS), duration: node.number("duration", 0, MAX_SECONDS) };
 }
 
 /**
@@ -157,7 +190,7 @@ function checkVersion(root) {
     const fix = "update the player with a newer fourd web";
     throw new SceneError(`The scene has format version ${version}, but this player reads version ${VERSION}; ${fix}`);
   }
-  if (version < PACKED_VERSION) {
+  if (version < PACKED_VERSION || !root.has("encoding")) {
     throw new SceneError(`The player reads packed scenes, got format version ${version}; use fourd web or fourd pack`);
   }
 }

@@ -4,6 +4,8 @@ import { frameFolder } from "./manifest.js";
 
 /** The number that identifies the background. Frames have the numbers 0, 1, 2, ... */
 export const BACKGROUND = -1;
+/** The member with the sound, Opus in an Ogg file. */
+export const SOUND = "sound.ogg";
 
 /**
  * Returns the folder, the number of points and the encoding of a frame or of the background.

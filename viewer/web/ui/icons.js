@@ -3,6 +3,8 @@ export const ICONS = {
   play: "M7 4v16l13-8z",
   pause: "M6 4h4v16H6zM14 4h4v16h-4z",
   loop: "M12 5V1L7 6l5 5V7a5 5 0 1 1-5 5H5a7 7 0 1 0 7-7z",
+  sound: "M3 9h4l5-5v16l-5-5H3zM14 8.5a4 4 0 0 1 0 7zM14 4.3a8 8 0 0 1 0 15.4v-2.1a6 6 0 0 0 0-11.2z",
+  muted: "M3 9h4l5-5v16l-5-5H3zM14.5 9l1.4-1.4 2.6 2.6 2.6-2.6L22.5 9l-2.6 2.6 2.6 2.6-1.4 1.4-2.6-2.6-2.6 2.6-1.4-1.4 2.6-2.6z",
   addKey: "M3 6h12v4l6-3v10l-6-3v4H3zM8 9v2H6v2h2v2h2v-2h2v-2h-2V9z",
   playPath: "M3 6h12v4l6-3v10l-6-3v4H3zM7 9v6l5-3z",
   stopPath: "M3 6h12v4l6-3v10l-6-3v4H3zM7 10v4h4v-4z",

@@ -15,6 +15,7 @@ const HELP = [
   ["N, P", "next camera, previous camera"],
   ["0", "initial view"],
   ["L", "loop"],
+  ["M", "sound on or off"],
   ["K", "add this view to the camera path"],
   ["Y", "play or stop the camera path"],
   ["T", "next style"],
@@ -68,6 +69,8 @@ export class Panel {
     this.extra = element("div", { className: "extra", id: "extra" });
     this.extra.append(this.loop, this.speed, this.camera, this.styles, this.addKey, this.playPath, this.savePath);
     this.extra.append(this.shoot, this.link, this.question);
+    this.sound = button("muted", "Sound (M)");
+    this.sound.hidden = true;
     this.more = button("more", "More controls");
     this.more.classList.add("more");
     this.more.setAttribute("aria-controls", this.extra.id);
@@ -77,7 +80,7 @@ export class Panel {
       // The row stands before the button in the order of the Tab key, as on the screen.
       if (this.bar.classList.contains("open")) this.loop.focus();
     });
-    this.bar.append(this.play, this.scrub, this.time, this.more, this.extra, this.full, this.vr);
+    this.bar.append(this.play, this.scrub, this.time, this.sound, this.more, this.extra, this.full, this.vr);
     root.append(this.canvas, this.poster, this.spinner, this.bar, this.help, this.message);
     this.question.addEventListener("click", () => (this.help.hidden = !this.help.hidden));
     /** @type {ReturnType<typeof setTimeout> | undefined} */

@@ -19,6 +19,7 @@ export function addShortcuts(player) {
     KeyP: () => changeCamera(player, -1),
     Digit0: () => player.moveToInitialView(),
     KeyL: () => player.panel.loop.click(),
+    KeyM: () => player.soundButton.toggle(),
     KeyF: () => player.toggleFullScreen(),
     KeyC: () => player.copyLink(),
     KeyI: () => player.saveImage(),
