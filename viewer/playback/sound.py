@@ -48,6 +48,17 @@ class SoundPlayer:
             playback.seconds, playback.speed, stream.time, is_running=is_running, is_looping=playback.is_looping
         )
 
+    @property
+    def jumps(self) -> int:
+        """How often the sound of this scene has been started or moved to the time of the picture."""
+        return 0 if self._feed is None else self._feed.jumps
+
+    def drift(self, playback: Playback) -> float | None:
+        """Return how far the sound is ahead of the picture, in seconds, or None if no sound is played."""
+        if self._feed is None or self._stream is None:
+            return None
+        return self._feed.drift(playback.seconds, self._stream.time)
+
     def take_problem(self) -> str:
         """Return why there is no sound, once, or an empty string."""
         problem, self._problem = self._problem, ""

@@ -74,7 +74,7 @@ const step = () => {
 };
 step();
 """
-"""Records when the frame ``argument`` is drawn first, in ``flashes``, and the errors that the player itself measures."""
+"""Records when the frame ``argument`` is drawn first, in ``flashes``, and the errors as the player measures them."""
 SEEK = """
 const seen = flashes.length, heard = onsets.length;
 stage.clock.seek(argument);
