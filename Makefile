@@ -42,7 +42,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --no-com
 $(STAMP): pyproject.toml constraints.txt $(NATIVE)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(PIP) -c constraints.txt pip torch scikit-build-core nanobind cmake ninja
-	$(PIP) -c constraints.txt $(BUILD) -e '.[train,viewer,splats,cluster,storage,onnx]' --group dev --group docs
+	$(PIP) -c constraints.txt $(BUILD) -e '.[train,viewer,splats,cluster,storage,onnx,notebook]' --group dev --group docs
 	touch $@
 
 install: $(STAMP)

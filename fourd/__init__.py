@@ -6,6 +6,7 @@ Importing this package loads neither native modules nor torch. The names in ``__
   :class:`TrainConfig` and of :class:`MatteSettings`. :func:`open_run` opens a trained run.
 - :func:`open_capture` reads the cameras, images and mattes of a capture.
 - :func:`open_scene` reads a ``.4dv`` scene, and :class:`Player` draws its frames. Neither needs torch.
+- :func:`show` plays a scene or a run in a notebook.
 - :func:`orbit` and :func:`spiral` return camera paths around a scene or a capture.
 - :func:`render_points` is the differentiable point renderer, for a :class:`Camera`, which :func:`look_at` or
   :meth:`Camera.from_fov` makes.
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from fourd.scene import open_scene
     from fourd.scene.player import Player
     from fourd.viewer.navigation.paths import orbit, spiral
+    from fourd.viewer.notebook.show import show
 
 __all__ = [
     "Camera",
@@ -44,6 +46,7 @@ __all__ = [
     "open_scene",
     "orbit",
     "render_points",
+    "show",
     "spiral",
     "train",
 ]
@@ -57,6 +60,7 @@ __getattr__, __dir__ = lazy_names(
         "TrainConfig": "reconstruction.training.config",
         "UserError": "base.errors",
         "__version__": "base.version",
+        "load_ipython_extension": "viewer.notebook.extension",
         "look_at": "base.cameras",
         "make": "pipeline.library",
         "open_capture": "recording.capture",
@@ -64,7 +68,9 @@ __getattr__, __dir__ = lazy_names(
         "open_scene": "scene",
         "orbit": "viewer.navigation.paths",
         "render_points": "rendering",
+        "show": "viewer.notebook.show",
         "spiral": "viewer.navigation.paths",
         "train": "pipeline.library",
+        "unload_ipython_extension": "viewer.notebook.extension",
     },
 )

@@ -18,6 +18,10 @@ class UserError(Exception):
     The message names the file or argument, the expected value, the value found, and the fix.
     """
 
+    def _render_traceback_(self) -> list[str]:
+        """Return what notebooks show in place of a traceback."""
+        return [f"UserError: {self}"]
+
 
 def one_line(error: Exception, max_length: int | None = None) -> str:
     """Return the message of an error on one line, cut after ``max_length`` characters."""

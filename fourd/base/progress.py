@@ -87,7 +87,8 @@ class Tracker:
             TimeElapsedColumn(),
             _RemainingTime(),
         )
-        with Progress(*columns, console=self.console, transient=True) as progress:
+        # In notebooks, a bar is a widget, which an empty output would show even if nothing is printed.
+        with Progress(*columns, console=self.console, transient=True, disable=self.console.quiet) as progress:
             estimate = EndEstimate(monotonic(), count)
             task = progress.add_task(what, total=count, end=None)
             for done, item in enumerate(items, 1):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from threading import Lock
@@ -21,6 +22,8 @@ from fourd.scene.shade import shade
 from fourd.scene.splats.reader import open_reader
 
 CACHE_BYTES = 256 << 20
+_PICTURE_SIDE = 640
+"""Longest side, in pixels, of the picture of a scene in a notebook."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +73,18 @@ class Scene:
             f"<Scene {self.path}: kind {manifest.kind}, {len(self)} frames at {manifest.fps:g} per second, "
             f"{len(manifest.names)} cameras>"
         )
+
+    def _repr_png_(self) -> bytes | None:
+        """Return what notebooks show for the value of a cell: the first frame from the first camera, as a PNG file."""
+        from PIL import Image
+
+        if not self.manifest.cameras or not len(self):
+            return None
+        camera = self.manifest.cameras[0]
+        picture = io.BytesIO()
+        pixels = self.render(camera.rescale(min(1.0, _PICTURE_SIDE / max(camera.width, camera.height)))).to_uint8()
+        Image.fromarray(pixels).save(picture, "PNG")
+        return picture.getvalue()
 
     def __iter__(self) -> Iterator[BakedFrame]:
         """Yield the frames in order. Frames that are no longer cached are read again."""

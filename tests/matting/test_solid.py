@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from fourd.base.cameras import Camera
@@ -13,6 +15,7 @@ from fourd.recording.capture import open_capture
 from fourd.recording.matting.motion.sampling import CameraSample
 from fourd.recording.matting.motion.subject import learn_subject
 from fourd.recording.matting.solid.moments import MIN_CAMERAS, Moments, reconstruct_moments
+from fourd.recording.matting.solid.resting import RestingParts
 from fourd.recording.matting.solid.room import Room
 from fourd.recording.matting.solid.silhouette import point_silhouette
 from fourd.recording.matting.solid.subject import SolidSubject
@@ -126,6 +129,42 @@ def test_silhouettes_between_moments_are_those_of_who_rests(rng: np.random.Gener
     assert not masks[[0, 5]].any()
     assert all((masks[frame] == alone).all() for frame in (2, 3))
     assert all(masks[frame].sum() > alone.sum() for frame in (1, 4))
+
+
+def test_resting_parts_are_subject_in_every_frame_between_moments(rng: np.random.Generator, tmp_path: Path) -> None:
+    """Catches a torso that is missing in the frames between two moments, because its colour is that of the wall, and
+    resting parts that are lost when the learned models are read again."""
+    cameras = wall_cameras()
+    body = column(rng, 0.8, -0.8, 0.8)
+    solid = SolidSubject((0, 2, 3), (body, body, body), (body, np.zeros((0, 3))), 0.1)
+    resting = RestingParts.of(solid, [10, 15, 20, 29])
+    assert resting is not None
+    np.savez(tmp_path / "a.npz", **resting.arrays())
+    with np.load(tmp_path / "a.npz") as arrays:
+        again = RestingParts.from_arrays(arrays)
+    assert again is not None
+    silhouette = point_silhouette(body, 0.1, cameras[2])
+    for parts in (resting, again):
+        assert parts.frames == (10, 20, 29)
+        for frame in (10, 13, 20):
+            odds = parts.log_odds(frame, cameras)
+            assert odds is not None
+            assert np.mean((odds[2] > 0) == silhouette) > 0.999
+        assert parts.log_odds(9, cameras) is None
+        assert parts.log_odds(25, cameras) is None
+    assert RestingParts.of(SolidSubject((0, 1), (body, body), (np.zeros((0, 3)),), 0.1), [0, 5]) is None
+    assert RestingParts.from_arrays({}) is None
+
+
+@pytest.mark.parametrize(
+    "damage", [{"resting_counts": [3, 4]}, {"resting_points": [[np.nan] * 3]}, {"resting_spacing": 0}]
+)
+def test_damaged_resting_parts(damage: dict[str, Any]) -> None:
+    """Catches points that are given to the wrong frames, and a model whose numbers are not finite."""
+    arrays = {"resting_frames": [0, 4], "resting_counts": [1], "resting_points": [[0.0, 0, 1]], "resting_spacing": 0.1}
+    assert RestingParts.from_arrays({name: np.array(each) for name, each in arrays.items()}) is not None
+    with pytest.raises(ValueError, match="resting points of the wrong shape"):
+        RestingParts.from_arrays({name: np.array(each) for name, each in (arrays | damage).items()})
 
 
 def test_nothing_moves_nothing_is_found(rng: np.random.Generator) -> None:

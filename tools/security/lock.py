@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 LOCK = "requirements.lock"
 PYTHON = "3.11"
 """The oldest Python version that pyproject.toml allows."""
-EXTRAS = ("train", "viewer", "splats", "cluster", "storage", "onnx")
+EXTRAS = ("train", "viewer", "splats", "cluster", "storage", "onnx", "notebook")
 GROUPS = ("dev", "docs")
 """The extras and dependency groups that `make` installs."""
 BUILD = ("cmake", "ninja", "scikit-build-core", "nanobind")

@@ -3,12 +3,29 @@
 from __future__ import annotations
 
 import threading
-from typing import Any
+from typing import Any, Protocol
 
 from fourd.recording.soundtrack.ogg import RATE, OggError
-from fourd.viewer.loaded_scene import LoadedScene
+from fourd.scene import SceneManifest
+from fourd.scene.files.sound import OpusSound
 from fourd.viewer.playback.clock import Playback
 from fourd.viewer.playback.sound_feed import SoundFeed, decode_scene_sound
+
+
+class ScenePlayed(Protocol):
+    """What the player needs of a scene that the window shows."""
+
+    @property
+    def path(self) -> object:
+        """The file or folder, for messages."""
+
+    @property
+    def manifest(self) -> SceneManifest:
+        """The manifest of the scene."""
+
+    @property
+    def sound(self) -> OpusSound | None:
+        """The sound, or None if there is none."""
 
 
 class SoundPlayer:
@@ -20,7 +37,7 @@ class SoundPlayer:
 
     def __init__(self) -> None:
         self.is_on = True
-        self._scene: LoadedScene | None = None
+        self._scene: ScenePlayed | None = None
         self._feed: SoundFeed | None = None
         self._stream: Any = None
         self._problem = ""
@@ -31,7 +48,7 @@ class SoundPlayer:
         """Switch the sound on or off."""
         self.is_on = not self.is_on
 
-    def follow(self, scene: LoadedScene | None, playback: Playback, *, is_waiting: bool) -> None:
+    def follow(self, scene: ScenePlayed | None, playback: Playback, *, is_waiting: bool) -> None:
         """Play the sound of the time that the picture shows. ``is_waiting`` is true while the picture stands still
         because a frame is being read."""
         if scene is not self._scene:
@@ -48,6 +65,17 @@ class SoundPlayer:
             playback.seconds, playback.speed, stream.time, is_running=is_running, is_looping=playback.is_looping
         )
 
+    @property
+    def jumps(self) -> int:
+        """How often the sound of this scene has been started or moved to the time of the picture."""
+        return 0 if self._feed is None else self._feed.jumps
+
+    def drift(self, playback: Playback) -> float | None:
+        """Return how far the sound is ahead of the picture, in seconds, or None if no sound is played."""
+        if self._feed is None or self._stream is None:
+            return None
+        return self._feed.drift(playback.seconds, self._stream.time)
+
     def take_problem(self) -> str:
         """Return why there is no sound, once, or an empty string."""
         problem, self._problem = self._problem, ""
@@ -61,7 +89,7 @@ class SoundPlayer:
             self._stream.close()
         self._opener = self._stream = self._feed = None
 
-    def _open(self, scene: LoadedScene) -> None:
+    def _open(self, scene: ScenePlayed) -> None:
         """Decode the sound and open the device, which can take a second."""
         sound, described = scene.sound, scene.manifest.sound
         assert sound is not None

@@ -115,7 +115,7 @@ class LiveScene:
             scene = self._source
             if scene.is_dir():
                 scene = Path(temporary) / "baked.4dv"
-                _bake(self._source, scene, self._console, self._track)
+                bake_to(self._source, scene, self._console, self._track)
             written = Path(temporary) / SCENE_NAME
             write_scene(scene, written, self._tier, self._track)
             write_poster(written, Path(temporary) / POSTER_NAME)
@@ -170,8 +170,9 @@ class LiveSite:
         self._stopped.set()
 
 
-def _bake(run: Path, scene: Path, console: Console, track: Track) -> None:
-    """Bake the newest checkpoint of a run. The imports are local, because only runs need torch."""
+def bake_to(run: Path, scene: Path, console: Console, track: Track) -> None:
+    """Write the newest checkpoint of a run as the scene file ``scene``. Raises UserError."""
+    # Only runs need torch.
     from fourd.reconstruction.training.segments.segmented_run import open_trained
     from fourd.scene.bake import bake_run
 

@@ -28,7 +28,7 @@ from fourd.viewer.publish.styles import STYLES_NAME, load_styles, write_styles
 SCENE_NAME, PAGE_NAME, POSTER_NAME, PLAYER_FOLDER = "scene.4dv", "index.html", "poster.jpg", "player"
 _POSTER_SIDE = 960
 TRAINING_FOLDER = "training"
-_NOT_SERVED = ("index.html", "page.css", "tsconfig.json", "examples", "node_modules", "package-lock.json")
+_NOT_SERVED = ("index.html", "page.css", "tsconfig.json", "examples", "notebook", "node_modules", "package-lock.json")
 
 
 def write_site(
@@ -106,14 +106,20 @@ def write_scene(
 
 def write_poster(scene: Path, out: Path) -> None:
     """Render the first frame from the first camera to a JPEG file."""
+    draw_poster(scene, _POSTER_SIDE).save(out, quality=85)
+
+
+def draw_poster(scene: Path, longest_side: int) -> Image.Image:
+    """Render the first frame of a scene from the first camera, with the camera's number of pixels, or with fewer so
+    that no side of the image is longer than ``longest_side``. Raises UserError."""
     reader = SceneReader(scene)
     try:
         camera = reader.manifest.cameras[0]
-        camera = camera.rescale(min(1.0, _POSTER_SIDE / max(camera.width, camera.height)))
+        camera = camera.rescale(min(1.0, longest_side / max(camera.width, camera.height)))
         pixels = Player().draw(reader.read(0), camera, reader.manifest, background=DEFAULT_BACKGROUND)
     finally:
         reader.close()
-    Image.fromarray(pixels[..., :3]).save(out, quality=85)
+    return Image.fromarray(pixels[..., :3])
 
 
 def copy_player(

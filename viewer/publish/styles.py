@@ -47,9 +47,14 @@ def load_styles(paths: Iterable[Path]) -> dict[str, Style]:
 def write_styles(path: Path, styles: Mapping[str, Style]) -> None:
     """Write the styles file of the player atomically. Raises UserError if the shade map of a style (the PNG
     from which its shade table is made) cannot be read."""
-    content = {"styles": [_describe(name, style) for name, style in styles.items()]}
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(content, allow_nan=False, separators=(",", ":")), encoding="utf-8")
+        temporary.write_text(encode_styles(styles), encoding="utf-8")
+
+
+def encode_styles(styles: Mapping[str, Style]) -> str:
+    """Return the content of the styles file of the player. Raises UserError, as :func:`write_styles` does."""
+    content = {"styles": [_describe(name, style) for name, style in styles.items()]}
+    return json.dumps(content, allow_nan=False, separators=(",", ":"))
 
 
 def _describe(name: str, style: Style) -> dict[str, Any]:

@@ -35,7 +35,7 @@ const LIVE_MS = 2000;
  * Events: `ready` after the first image, and `error`.
  */
 export class FourdPlayer extends HTMLElement {
-  static observedAttributes = ["src", "stylize"];
+  static observedAttributes = ["src", "stylize", "background"];
 
   constructor() {
     super();
@@ -50,6 +50,9 @@ export class FourdPlayer extends HTMLElement {
     this.pool = null;
     /** @type {VrSession | null} */
     this.vr = null;
+    /** Returns where the scene's bytes come from. Programs with another connection than HTTP replace this function.
+     * @type {(url: string, stallMs: number) => import("./scene/scene_file.js").Source} */
+    this.makeSource = (url, stallMs) => new ByteSource(new URL(url, document.baseURI).href, stallMs);
     this.generation = 0;
     this.cameraIndex = -1;
     /** @type {Pose | null} */
@@ -101,7 +104,8 @@ export class FourdPlayer extends HTMLElement {
   attributeChangedCallback(name) {
     if (!this.isConnected) return;
     if (name === "src") this.#open();
-    else this.styleMenu.follow();
+    else if (name === "stylize") this.styleMenu.follow();
+    else if (this.stage) this.#setBackground(this.stage);
   }
 
   /** The background that the attribute names, which replaces the paper of styles; null if there is none. */
@@ -256,8 +260,7 @@ export class FourdPlayer extends HTMLElement {
       const pool = new DecodePool();
       this.pool = pool;
       const seconds = Number(this.getAttribute("timeout")) || 15;
-      const source = new ByteSource(new URL(src, document.baseURI).href, 1000 * seconds);
-      const file = await SceneFile.open(source);
+      const file = await SceneFile.open(this.makeSource(src, 1000 * seconds));
       if (generation !== this.generation) return pool.release();
       this.#start(file, pool, started, kept);
     } catch (error) {
@@ -282,7 +285,7 @@ export class FourdPlayer extends HTMLElement {
     const stage = new Stage(this.panel.canvas, file, pool, this.initialPose, (error) => this.#fail(error));
     this.stage = stage;
     if (this.getAttribute("mode") === "reference") stage.mode = "reference";
-    stage.background = this.ownBackground ?? DEFAULT_BACKGROUND;
+    this.#setBackground(stage);
     this.panel.bar.hidden = this.getAttribute("controls") === "none";
     this.panel.setCameras(manifest.cameras.map((camera) => camera.name));
     if (this.hasAttribute("links")) this.#follow(location.hash);
@@ -294,6 +297,12 @@ export class FourdPlayer extends HTMLElement {
     }
     this.styleMenu.follow();
     this.#run(stage, started);
+  }
+
+  /** @param {Stage} stage */
+  #setBackground(stage) {
+    stage.background = this.ownBackground ?? DEFAULT_BACKGROUND;
+    stage.isDirty = true;
   }
 
   /**

@@ -395,4 +395,5 @@ class Trainer:
             TimeElapsedColumn(),
             TimeRemainingColumn(),
             console=self.console,
+            disable=self.console.quiet,
         )

@@ -27,7 +27,7 @@ from fourd.recording.matting.chroma import ScreenColour, chroma_matte, find_scre
 from fourd.recording.matting.mask_files import find_masks, read_mask
 from fourd.recording.matting.motion.mattes import matting_cameras, refine_background
 from fourd.recording.matting.motion.paint import Paint, read_strokes
-from fourd.recording.matting.motion.sampling import learning_frames, sample_capture
+from fourd.recording.matting.motion.sampling import learning_frames, passed_frames, reduce_picture, sample_capture
 from fourd.recording.matting.motion.saved_model import load_matte_maker, save_subject
 from fourd.recording.matting.motion.subject import learn_subject
 from fourd.recording.matting.onnx_network import OnnxNetwork, load_onnx
@@ -35,6 +35,7 @@ from fourd.recording.matting.output import SHEET, VERSION, MatteOutput, MatteSta
 from fourd.recording.matting.rvm import RVM, load_rvm
 from fourd.recording.matting.selection import Selection
 from fourd.recording.matting.solid.moments import reconstruct_moments
+from fourd.recording.matting.solid.resting import RestingParts
 
 Picture = NDArray[np.uint8]
 
@@ -229,14 +230,19 @@ def _learn_subject_model(capture: Capture, settings: MatteSettings, path: Path, 
     frames = learning_frames(capture.frame_count, len(capture.cameras))
     samples = sample_capture(capture, frames, track)
     moments = reconstruct_moments(capture, frames, settings.seed, workers, track)
-    subject = learn_subject(samples, capture.names, settings.seed, track, moments, workers)
+    between = passed_frames(capture.frame_count, len(capture.cameras), frames)
+
+    def passed(index: int) -> Iterator[Picture]:
+        return (reduce_picture(capture.image(index, frame), samples[index].camera) for frame in between)
+
+    subject = learn_subject(samples, capture.names, settings.seed, track, moments, workers, passed)
     cameras = matting_cameras(capture)
     numbers = range(len(cameras))
     backgrounds = [
         refine_background(capture, index, subject.appearances[index].background, cameras[index])
         for index in track(numbers, len(numbers), "background")
     ]
-    save_subject(path, subject, backgrounds)
+    save_subject(path, subject, backgrounds, RestingParts.of(subject.solid, frames))
 
 
 def _screen_colours(capture: Capture, settings: MatteSettings, track: Track) -> tuple[ScreenColour, ...]:

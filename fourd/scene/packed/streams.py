@@ -39,6 +39,11 @@ def compress(content: bytes, compression: Compression = "zstd") -> bytes:
     return zstandard.ZstdCompressor(level=LEVEL, write_content_size=True).compress(content)
 
 
+def is_zlib(member: bytes) -> bool:
+    """Return True if a member is compressed with zlib, and not with Zstandard."""
+    return not member.startswith(_ZSTD_MAGIC)
+
+
 def stored(content: bytes) -> bytes:
     """Compress a member's content fast, with little reduction in size, for checks that encode and decode members in
     memory."""
@@ -55,7 +60,7 @@ def decompress(member: bytes, largest: int) -> NDArray[np.uint8]:
         StreamError: if the member is damaged, declares no size or has more than ``largest`` bytes.
     """
     largest = min(largest, max(SMALL_BYTES, MAX_RATIO * len(member)))
-    content = _from_zstd(member, largest) if member.startswith(_ZSTD_MAGIC) else _from_zlib(member, largest)
+    content = _from_zlib(member, largest) if is_zlib(member) else _from_zstd(member, largest)
     return np.frombuffer(content, np.uint8)
 
 

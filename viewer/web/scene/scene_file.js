@@ -2,7 +2,12 @@ import { SceneError } from "./errors.js";
 import { parseManifest } from "./manifest.js";
 import { missingDecoder } from "./support.js";
 /** @typedef {import("./manifest.js").Manifest} Manifest */
-/** @typedef {import("./byte_source.js").ByteSource} ByteSource */
+
+/**
+ * Where the bytes of a scene come from, such as a `ByteSource` or the kernel of a notebook.
+ * @typedef {Pick<import("./byte_source.js").ByteSource, "url" | "size" | "read" | "readExactly" | "hasChanged">
+ *   & {rate: {bytesPerSecond: number | null}}} Source
+ */
 
 const FIRST_READ = 1 << 16;
 const LOCAL_HEADER = 30;
@@ -10,10 +15,10 @@ const MAX_MANIFEST = 64 << 20;
 /** Members that are at most this number of bytes apart are read with one request, which is faster than two. */
 const MERGE_GAP = 1 << 15;
 
-/** A packed scene on a server. */
+/** A packed scene. */
 export class SceneFile {
   /**
-   * @param {ByteSource} source
+   * @param {Source} source
    * @param {Manifest} manifest
    */
   constructor(source, manifest) {
@@ -23,7 +28,7 @@ export class SceneFile {
 
   /**
    * Reads the manifest, which is the first member of the file.
-   * @param {ByteSource} source
+   * @param {Source} source
    * @returns {Promise<SceneFile>}
    */
   static async open(source) {
@@ -91,7 +96,7 @@ export class SceneFile {
 /**
  * If the server has sent the size of the file, checks that all members end inside the file.
  * @param {Manifest} manifest
- * @param {ByteSource} source
+ * @param {Source} source
  */
 function checkRanges({ members }, { size: total, url }) {
   if (total === null) return;

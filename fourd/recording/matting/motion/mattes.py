@@ -24,6 +24,7 @@ from fourd.recording.matting.motion.paint import Strokes, strokes_in_frame
 from fourd.recording.matting.motion.sampling import flow_frame, flow_length_px, learning_frames, reduce_picture
 from fourd.recording.matting.motion.subject import Subject, floor_cells
 from fourd.recording.matting.shadows.floor_light import FloorGrid
+from fourd.recording.matting.solid.resting import RestingParts
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
@@ -48,6 +49,7 @@ class MatteMaker:
             parallel optical axes, whose views are processed independently.
         local: local colours of each camera's background.
         floor: the floor on which the subject's shadow lies, or None.
+        resting: the parts of the subject that rest between some frames, or None.
     """
 
     appearances: tuple[Appearance, ...]
@@ -55,9 +57,15 @@ class MatteMaker:
     grid: VoxelGrid | None
     local: tuple[LocalEvidence, ...]
     floor: FloorGrid | None = None
+    resting: RestingParts | None = None
 
     @staticmethod
-    def from_subject(subject: Subject, backgrounds: Sequence[BackgroundModel], cameras: Sequence[Camera]) -> MatteMaker:
+    def from_subject(
+        subject: Subject,
+        backgrounds: Sequence[BackgroundModel],
+        cameras: Sequence[Camera],
+        resting: RestingParts | None = None,
+    ) -> MatteMaker:
         """Create a matte maker from a learned subject and backgrounds.
 
         The backgrounds have the image size of ``cameras``, which is larger than the image size at which the subject was
@@ -69,7 +77,7 @@ class MatteMaker:
         grid = None if subject.box is None else VoxelGrid.covering(*subject.box, cameras, min_seeing=subject.min_seeing)
         local = local_evidence(backgrounds, [appearance.region for appearance in appearances])
         floor = floor_cells(subject.floor, subject.box, grid)
-        return MatteMaker(appearances, tuple(cameras), grid, tuple(local), floor)
+        return MatteMaker(appearances, tuple(cameras), grid, tuple(local), floor, resting)
 
     def mattes(self, capture: Capture, frame: int, strokes: Sequence[Strokes] = ()) -> list[Picture]:
         """Compute the matte (H, W) uint8 of each camera for one frame. The user's ``strokes``, which may be on other
@@ -92,12 +100,26 @@ class MatteMaker:
         matched = [
             appearance.match_exposure(picture) for appearance, picture in zip(self.appearances, small, strict=True)
         ]
-        painted = strokes_in_frame(strokes, capture, self.cameras, frame) if strokes else None
+        painted: Sequence[Floats | None] | None = (
+            None if self.resting is None else self.resting.log_odds(frame, self.cameras)
+        )
+        if strokes:
+            painted = _over(strokes_in_frame(strokes, capture, self.cameras, frame), painted)
         views = combine_views(self.appearances, matched, motions, self.grid, self.local, painted, self.floor)
         return [
             refine_matte(odds, picture, _sharp_background(appearance, picture))
             for odds, picture, appearance in zip(views.log_odds, pictures, self.appearances, strict=True)
         ]
+
+
+def _over(strokes: Sequence[Floats | None], under: Sequence[Floats | None] | None) -> Sequence[Floats | None]:
+    """Return the log-odds (h, w) that the user painted for each camera, and ``under`` where nothing is painted."""
+    if under is None:
+        return strokes
+    return [
+        below if stroke is None or below is None else np.where(stroke == 0, below, stroke)
+        for stroke, below in zip(strokes, under, strict=True)
+    ]
 
 
 def _sharp_background(appearance: Appearance, picture: Picture) -> Floats | None:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import chain
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from fourd.recording.matting.channels import channel_max
-from fourd.recording.matting.motion.sampling import CameraSample
+from fourd.recording.matting.motion.sampling import CameraSample, Picture
 
 Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
@@ -19,6 +21,8 @@ MIN_CHANGE = 12.0
 MIN_CHANGE, and NOISE_FACTOR times :attr:`MotionExtent.noise`."""
 NOISE_FACTOR = 6.0
 MIN_MOTION_PX = 0.15
+FLASH_SHARE = 0.5
+"""An image of which a larger fraction changes shows another exposure, not motion."""
 MOVING_FACTOR = 2.5
 """Minimum optical flow of moving pixels, as a multiple of the flow of static pixels."""
 
@@ -54,9 +58,25 @@ class MotionExtent:
         largest = np.maximum(largest, np.where(sample.motion_px > MOVING_FACTOR * still, change, 0).max(axis=0))
         region = (largest > threshold).astype(np.uint8)
         region = cv2.morphologyEx(region, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
-        region = cv2.morphologyEx(region, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
-        region = fill_holes(np.asarray(cv2.dilate(region, np.ones((3, 3), np.uint8)), np.uint8))
-        return MotionExtent(noise, still, threshold, region > 0)
+        return MotionExtent(noise, still, threshold, _closed(region))
+
+    def including(self, sample: CameraSample, pictures: Iterable[Picture]) -> MotionExtent:
+        """Add what changes in one of the sampled images or of other images (h, w, 3) of the camera. A ball crosses most
+        pixels once, or between two sampled frames."""
+        median = np.median(sample.rgb, axis=0).astype(np.float32)
+        passed = self.region.astype(np.uint8)
+        for picture in chain(sample.rgb, pictures):
+            changed = channel_max(np.abs(picture - median)) > self.threshold
+            if changed.mean() <= FLASH_SHARE:
+                blobs = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+                passed |= np.asarray(blobs, np.uint8)
+        return replace(self, region=_closed(passed))
+
+
+def _closed(region: NDArray[np.uint8] | cv2.typing.MatLike) -> Flags:
+    """Close the gaps and holes of a region (h, w), and add a margin."""
+    closed = cv2.morphologyEx(region, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
+    return fill_holes(np.asarray(cv2.dilate(closed, np.ones((3, 3), np.uint8)), np.uint8)) > 0
 
 
 def fill_holes(region: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -22,6 +22,8 @@ MIN_FRAMES = 8
 MAX_IMAGES = 648
 """Maximum number of sampled images of all cameras together, if this allows MIN_FRAMES frames. The time for learning is
 proportional to it."""
+MAX_PASSED_IMAGES = 4096
+"""Maximum number of images of all cameras together in which something is looked for that only passes."""
 MAX_PIXELS = 32 << 20
 """Maximum total number of sampled pixels in all cameras and frames. With this limit, the sampled images need 100 MB,
 and the data computed from them needs 200 MB."""
@@ -63,6 +65,12 @@ def sample_capture(capture: Capture, frames: Sequence[int], track: Track) -> lis
                 motion[row] = flow_length_px(rgb[row], reduce_picture(capture.image(index, other), camera))
         samples.append(CameraSample(camera, rgb, motion))
     return samples
+
+
+def passed_frames(count: int, cameras: int, learning: Sequence[int]) -> list[int]:
+    """Return the indices of the frames, besides the ``learning`` frames, in which something is looked for that only
+    passes: all frames of a short capture."""
+    return sorted({*sample_indices(count, max(1, MAX_PASSED_IMAGES // cameras))} - {*learning})
 
 
 def flow_frame(frame: int, count: int) -> int | None:

@@ -21,6 +21,7 @@ from fourd.recording.matting.motion.evidence import Appearance
 from fourd.recording.matting.motion.mattes import MatteMaker
 from fourd.recording.matting.motion.subject import Subject
 from fourd.recording.matting.shadows.floor import Floor
+from fourd.recording.matting.solid.resting import RestingParts
 
 MAX_BYTES_PER_PIXEL = 64
 """Maximum total size in bytes of a model's per-pixel arrays, such as the mean background colours, divided by the number
@@ -29,8 +30,11 @@ MAX_OTHER_BYTES = 256 << 20
 """Maximum total size in bytes of a model's other arrays, such as histograms of colours."""
 
 
-def save_subject(path: Path, subject: Subject, backgrounds: Sequence[BackgroundModel]) -> None:
-    """Write the models of the subject and of the background of all cameras to the file ``path``, atomically."""
+def save_subject(
+    path: Path, subject: Subject, backgrounds: Sequence[BackgroundModel], resting: RestingParts | None = None
+) -> None:
+    """Write the models of the subject, of the background of all cameras, and of what rests to the file ``path``,
+    atomically."""
     arrays: dict[str, Any] = {
         "box": np.zeros((0, 3)) if subject.box is None else np.stack(subject.box),
         "min_seeing": np.array(subject.min_seeing),
@@ -47,6 +51,7 @@ def save_subject(path: Path, subject: Subject, backgrounds: Sequence[BackgroundM
             f"still_{index}": np.array(appearance.still_px),
             f"deviations_{index}": np.array([appearance.deviations.shaded, appearance.deviations.changed]),
         }
+    arrays |= {} if resting is None else resting.arrays()
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
 
@@ -65,6 +70,7 @@ def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
             if not 0 <= min_seeing <= 1:
                 raise ValueError(f"a fraction of {min_seeing} of the cameras")
             floor = _floor(arrays["floor"])
+            resting = RestingParts.from_arrays(arrays)
             appearances, backgrounds = [], []
             for index, camera in enumerate(cameras):
                 fine = BackgroundModel(
@@ -80,7 +86,7 @@ def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error, EOFError) as error:
         raise UserError(f"{path}: expected a learned model of the subject, got '{error}'; delete the file") from error
     subject = Subject(tuple(appearances), tuple(cameras), (box[0], box[1]) if len(box) else None, min_seeing, floor)
-    return MatteMaker.from_subject(subject, backgrounds, cameras)
+    return MatteMaker.from_subject(subject, backgrounds, cameras, resting)
 
 
 def _floor(plane: NDArray[np.floating]) -> Floor | None:

@@ -9,7 +9,7 @@ in one view is found with the help of the other views.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -28,10 +28,11 @@ from fourd.recording.matting.motion.evidence import Appearance, ViewEvidence, co
 from fourd.recording.matting.motion.learner import Learner
 from fourd.recording.matting.motion.local_evidence import LocalEvidence, local_evidence
 from fourd.recording.matting.motion.motion_extent import MotionExtent
-from fourd.recording.matting.motion.sampling import CameraSample
+from fourd.recording.matting.motion.sampling import CameraSample, Picture
 from fourd.recording.matting.shadows.floor import Floor, find_floor, shaded_points
 from fourd.recording.matting.shadows.floor_light import FloorGrid
 from fourd.recording.matting.solid.moments import Moments
+from fourd.recording.matting.solid.resting import SOLID_LOG_ODDS
 from fourd.recording.matting.solid.subject import SolidSubject
 
 Floats = NDArray[np.float32]
@@ -54,9 +55,6 @@ MIN_REGION_PIXELS = 20
 COARSE_CELLS = (48, 64, 64)
 MAX_COVERED = 0.95
 """If a larger fraction of the subject's points lies in the moving regions, the whole subject moves."""
-SOLID_LOG_ODDS = np.float32(3.0)
-"""Log-odds of the subject at pixels onto which its points project. One in seven of these pixels shows the background
-beside the subject, because stereo compares windows."""
 POOLED_SHARE = 0.3
 """Weight in [0, 1] of the subject colours pooled over all cameras, when they are mixed with a camera's own subject
 colours.
@@ -77,6 +75,7 @@ class Subject:
             for a single camera and for cameras with parallel optical axes, whose views are processed independently.
         min_seeing: the least fraction of the cameras that see a part of the subject.
         floor: the plane on which the subject's shadow lies, or None if no shadow was found.
+        solid: points on the subject, or None if they were not needed.
     """
 
     appearances: tuple[Appearance, ...]
@@ -84,6 +83,7 @@ class Subject:
     box: tuple[Array, Array] | None
     min_seeing: float = MIN_SEEING_SHARE
     floor: Floor | None = None
+    solid: SolidSubject | None = None
 
 
 def learn_subject(
@@ -93,6 +93,7 @@ def learn_subject(
     track: Track,
     moments: Moments | None = None,
     workers: int = 1,
+    passed: Callable[[int], Iterable[Picture]] | None = None,
 ) -> Subject:
     """Learn the models of the subject and the backgrounds.
 
@@ -104,12 +105,17 @@ def learn_subject(
         moments: points on all surfaces in some of the sampled frames, or None. They show parts of the subject that do
             not move.
         workers: number of threads.
+        passed: returns images (h, w, 3) of the camera with the given index, of the size of its sampled images, between
+            the sampled frames, or None. Only the regions in which something moves are learned from them.
 
     Raises:
         UserError: if no region changes, or if the moving regions of the views do not intersect in space.
     """
     cameras = tuple(sample.camera for sample in samples)
-    extents = [MotionExtent.from_sample(sample) for sample in track(samples, len(samples), "motion")]
+    extents = []
+    for index, sample in enumerate(track(samples, len(samples), "motion")):
+        extent = MotionExtent.from_sample(sample)
+        extents.append(extent if passed is None else extent.including(sample, passed(index)))
     _require_motion(samples, extents)
     place = _Place.of_motion(extents, cameras, names)
     if moments is not None:
@@ -128,7 +134,8 @@ def learn_subject(
         if number >= FLOOR_ITERATION and floor is None:
             floor = _find_floor(learners, place, np.random.default_rng(seed))
         _iterate(learners, place, rngs, number >= ITERATIONS, workers, floor)
-    return Subject(tuple(learner.appearance for learner in learners), cameras, place.box, place.min_seeing, floor)
+    appearances = tuple(learner.appearance for learner in learners)
+    return Subject(appearances, cameras, place.box, place.min_seeing, floor, place.solid)
 
 
 def floor_cells(floor: Floor | None, box: tuple[Array, Array] | None, grid: VoxelGrid | None) -> FloorGrid | None:
@@ -207,6 +214,7 @@ class _Place:
         grid: voxels of the box, or None.
         regions: for each camera, the mask (h, w) that contains the subject in all frames.
         shown: for each camera, masks (T, h, w) of pixels that show the subject although they may not move, or None.
+        solid: the points from which ``shown`` was made, or None.
     """
 
     cameras: tuple[Camera, ...]
@@ -215,6 +223,7 @@ class _Place:
     grid: VoxelGrid | None
     regions: list[Flags]
     shown: list[Flags | None]
+    solid: SolidSubject | None = None
 
     @property
     def has_still_parts(self) -> bool:
@@ -243,7 +252,7 @@ class _Place:
         grid = VoxelGrid.covering(*box, self.cameras, min_seeing=min_seeing)
         shown = [solid.silhouettes(sample.camera, len(sample.rgb)) for sample in samples]
         regions = [_with_silhouettes(region, masks) for region, masks in zip(self.regions, shown, strict=True)]
-        return _Place(self.cameras, box, min_seeing, grid, regions, list(shown))
+        return _Place(self.cameras, box, min_seeing, grid, regions, list(shown), solid)
 
 
 def _local_evidence(learners: Sequence[Learner]) -> list[LocalEvidence]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from fourd.base.cameras import Array, Camera
 from fourd.recording.capture.focus import find_focus, median_distance
@@ -39,6 +40,8 @@ MOVING_VIEWS = 0.9
 MIN_MOVING = 0.02
 """An object belongs to the subject if at least this fraction of its points moves at one of the moments. Of a person who
 stands still and catches a ball, 4 to 6% of the points move at some moments, and none at others."""
+MAX_SHIFT = 2.1
+"""Points rest if the same object is not farther away at the next moment, in voxels."""
 SAME_PLACE = 0.5
 """Objects of two moments are the same, at rest, if their common voxels are at least this fraction of the larger one."""
 
@@ -170,14 +173,15 @@ class _Objects:
         return self.xyz[np.isin(self.labels, numbers)]
 
     def resting(self, numbers: Sequence[int], after: _Objects) -> Array:
-        """Return those points (M, 3) of some of the objects that are at the same place at another moment."""
+        """Return those points (M, 3) of some of the objects that are at the same place at another moment, or at most
+        :data:`MAX_SHIFT` from it: a head that turns stays."""
         kept = [np.zeros((0, 3))]
         for number in numbers:
-            there = frozenset[tuple[int, ...]]().union(*(after.places[same] for same in self._same(number, after)))
+            there = [cell for same in self._same(number, after) for cell in after.places[same]]
             if there:
                 of_object = self.labels == number
-                cells = map(tuple, self.cells[of_object].tolist())
-                kept.append(self.xyz[of_object][[cell in there for cell in cells]])
+                gaps = cKDTree(there).query(self.cells[of_object], distance_upper_bound=MAX_SHIFT)[0]
+                kept.append(self.xyz[of_object][np.isfinite(gaps)])
         return np.concatenate(kept)
 
     def _same(self, number: int, moment: _Objects) -> list[int]:
