@@ -156,13 +156,13 @@ def import_source(
     calibration, files, asked = *digests(imported), asdict(options)
     same = before is not None and (before.calibration, before.files, before.options) == (calibration, files, asked)
     if before is not None and same and sound in (LATER, before.sound) and before.done and _has_calibration(out):
-        return _confirm(imported, before, out, options, log, warn, track)
+        _confirm(imported, before, out, options, log, warn, track)
+        return
     started = before or ImportRecord(str(resolved(source)), source_format.name, "", files, {}, {}, False, False, ())
     record = replace(started, calibration=calibration, options=asked, done=False, warnings=())
     record = record if sound == LATER else replace(record, sound=sound)
     check_unpacked(out, started, files, started.offsets, options.reduce)
     write_record(out, record)
-    remove_unfinished(out, deep=True)
     indices = _read_indices(imported, out, options, track)
     estimate = _estimate(imported, indices, out, options, log, track)
     offsets = applied_offsets(estimate, options.offsets, options.applies_estimate)
@@ -195,7 +195,6 @@ def _confirm(
     imported: Imported, before: ImportRecord, out: Path, options: ImportOptions, log: Log, warn: Log, track: Track
 ) -> None:
     """Write the files that are missing in the folder of a finished import with the same options."""
-    remove_unfinished(out, deep=True)
     indices = _read_indices(imported, out, options, track)
     _write(imported, indices, out, options, before.offsets, track, with_calibration=False)
     log("the import with these options already exists; no file is changed")
@@ -280,7 +279,9 @@ def _read(source_format: Format, source: Path, options: ImportOptions) -> Import
 
 def _read_indices(imported: Imported, out: Path, options: ImportOptions, track: Track) -> Indices:
     """Return the :class:`~fourd.recording.capture.video.VideoIndex` of each video: frame size, frame times and
-    keyframes. The frame sizes are multiplied by the factor of the option --scale."""
+    keyframes. The frame sizes are multiplied by the factor of the option --scale. What an interrupted import has left is
+    removed first."""
+    remove_unfinished(out, deep=True)
     return reduced_indices(cached_indices(video_files(imported.cameras), out, track), options.reduce)
 
 
