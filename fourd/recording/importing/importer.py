@@ -279,8 +279,8 @@ def _read(source_format: Format, source: Path, options: ImportOptions) -> Import
 
 def _read_indices(imported: Imported, out: Path, options: ImportOptions, track: Track) -> Indices:
     """Return the :class:`~fourd.recording.capture.video.VideoIndex` of each video: frame size, frame times and
-    keyframes. The frame sizes are multiplied by the factor of the option --scale. What an interrupted import has left is
-    removed first."""
+    keyframes. The frame sizes are multiplied by the factor of the option --scale. What an interrupted import has left
+    is removed first."""
     remove_unfinished(out, deep=True)
     return reduced_indices(cached_indices(video_files(imported.cameras), out, track), options.reduce)
 
