@@ -36,7 +36,7 @@ button:focus-visible, select:focus-visible, input:focus-visible { outline: 2px s
   .bar.open ~ .message { bottom: 150px; }
 }
 @container (max-width: 480px) { .bar { --control: 44px; gap: 6px; } }
-@container (max-width: 400px) { .with-sound .time { display: none; } }
+@container (max-width: 374px) { .with-sound .time { display: none; } }
 @container (max-width: 320px) { .time { display: none; } }
 @container (max-width: 240px) {
   .bar { --control: 32px; padding-inline: 4px; }
