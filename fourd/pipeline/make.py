@@ -167,7 +167,7 @@ def make_scene(
         lpips_weights: the weights of LPIPS; see :func:`~fourd.reconstruction.training.losses.lpips.load_lpips`.
         imports: options of the import. If ``source`` is a capture, their frame rate, if any, is stored in it.
         pack: how the scene file is compressed, or None for plain arrays.
-        sound: the sound of the scene; see :func:`~fourd.recording.soundtrack.choice.choose_sound`.
+        sound: see :func:`~fourd.recording.soundtrack.choice.choose_sound`.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
         keep_chosen_mattes: whether to keep mattes whose method the user chose with ``fourd matte``.
         cluster: the cluster on which the stages run. If None, the stages run in this process.
@@ -184,14 +184,11 @@ def make_scene(
     require_suffix(out, (".4dv",), "a scene")
     run = RunRequest(Path(), Path(), train, points_from, lpips_weights, accept_mattes=accept_mattes)
     choice = MatteChoice(mattes, keep_chosen_mattes)
-    sound = str(Path(sound).absolute()) if Path(sound).is_file() else sound
     request = SceneRequest(source, out, run, choice, imports or ImportOptions(), pack, sound, context)
     execute = run_here if cluster is None else cluster.execute
     if isinstance(work, StorageUrl):
         return _make_stored(request, work, execute, is_parallel=cluster is not None, force=force)
     folder = _work_folder(out, work)
-    if isinstance(out, StorageUrl):
-        check_writable(out)
     with locked_folder(folder):
         runner = Runner(context, folder / RECORD, execute, is_parallel=cluster is not None, force=force)
         return _make_in_folder(request, folder, runner)
@@ -199,6 +196,8 @@ def make_scene(
 
 def _make_in_folder(request: SceneRequest, folder: Path, runner: Runner) -> RunSummary:
     """Run the stages of :func:`make_scene` in the local ``folder``, which is locked."""
+    if isinstance(request.out, StorageUrl):
+        check_writable(request.out)
     folder.mkdir(parents=True, exist_ok=True)
     remove_unfinished(folder, deep=True)
     runner.claim(request.out)
@@ -250,6 +249,11 @@ def _absolute(path: Path | None) -> Path | None:
     return None if path is None else path.absolute()
 
 
+def _absolute_name(sound: str) -> str:
+    """Return the absolute path if the value of --sound is a file, because other machines have other folders."""
+    return str(Path(sound).absolute()) if Path(sound).is_file() else sound
+
+
 def _copy_changed(source: Path, target: Path) -> None:
     """Copy a file, unless the target already has the same size and modification time."""
     status = source.stat()
@@ -280,7 +284,7 @@ def _run_graph(request: SceneRequest, run: RunRequest, work: Path, out: Path, ru
         options,
         work,
         out,
-        BakeSettings(pack=request.pack, sound=request.sound),
+        BakeSettings(pack=request.pack, sound=_absolute_name(request.sound)),
         # In a store, the key of the import must not depend on the path of this machine's copy.
         finds_board=not runner.is_stored,
         from_hull=request.mattes.keep_chosen,

@@ -89,6 +89,9 @@ class SlowSource:
         self.is_ready.wait()
         return random_frame(10 + index, 2, seed=index)
 
+    def read_sound(self) -> None:
+        return None
+
     def close(self) -> None:
         pass
 

@@ -131,9 +131,8 @@ def write_video(
         raise ValueError(f"fps: expected more than 0, got {fps}")
     require_video(path, fps)
     kind = _FORMATS[path.suffix.lower()]
-    encoder = _find_encoder(path, kind)
+    encoder, rate = _find_encoder(path, kind), Fraction(fps).limit_denominator(100_000)
     remove_unfinished_file(path)
-    rate = Fraction(fps).limit_denominator(100_000)
     options = {"movflags": "+faststart"} if kind.container == "mp4" else {}
     count = 0
     stream: Any = None

@@ -151,23 +151,12 @@ def import_source(
     before = read_record(out)
     if before is not None:
         check_same_source(out, before, source, source_format.name)
-    imported, warnings = align_pictures(_read(source_format, source, options), options.pair_by)
-    if options.calibration is not None:
-        imported = apply_calibration(imported, source_format.name, Path(options.calibration))
-    needs_calibration = _check_options(imported, source, options)
-    if not needs_calibration:
-        warnings += _check_poses(imported, source)
-    for note in imported.notes:
-        log(note)
+    imported, warnings, needs_calibration = _read_and_check(source_format, source, options)
+    _tell_all(imported.notes, log)
     calibration, files, asked = *digests(imported), asdict(options)
     same = before is not None and (before.calibration, before.files, before.options) == (calibration, files, asked)
-    same = same and before is not None and sound in (LATER, before.sound)
-    if before is not None and same and before.done and _has_calibration(out):
-        remove_unfinished(out, deep=True)
-        indices = _read_indices(imported, out, options, track)
-        _write(imported, indices, out, options, before.offsets, track, with_calibration=False)
-        log("the import with these options already exists; no file is changed")
-        _tell_all(before.warnings, warn)
+    if before is not None and same and sound in (LATER, before.sound) and before.done and _has_calibration(out):
+        _confirm(imported, before, out, options, log, warn, track)
         return
     started = before or ImportRecord(str(resolved(source)), source_format.name, "", files, {}, {}, False, False, ())
     record = replace(started, calibration=calibration, options=asked, done=False, warnings=())
@@ -187,12 +176,31 @@ def import_source(
     check_unpacked(out, started, files, offsets, options.reduce)
     record = replace(record, files=files, offsets=offsets, unpacked=started.unpacked or options.unpack)
     write_record(out, record)
-    notes = _write(imported, indices, out, options, offsets, track, with_calibration=True)
-    if sound != LATER:
-        keep_sound(out, sound, align_videos(video_files(imported.cameras), indices, offsets), log, track)
+    notes = _write(imported, indices, out, options, offsets, track, with_calibration=True, sound=sound)
     _tell_all((*notes, *_describe_mattes(out, warnings)), log)
     _tell_all(warnings, warn)
     write_record(out, replace(record, done=True, warnings=tuple(warnings)))
+
+
+def _read_and_check(source_format: Format, source: Path, options: ImportOptions) -> tuple[Imported, list[str], bool]:
+    """Read a source, and check the options. Returns its content, warnings, and whether its cameras must be calibrated
+    from their images."""
+    imported, warnings = align_pictures(_read(source_format, source, options), options.pair_by)
+    if options.calibration is not None:
+        imported = apply_calibration(imported, source_format.name, Path(options.calibration))
+    needs_calibration = _check_options(imported, source, options)
+    return imported, warnings + ([] if needs_calibration else _check_poses(imported, source)), needs_calibration
+
+
+def _confirm(
+    imported: Imported, before: ImportRecord, out: Path, options: ImportOptions, log: Log, warn: Log, track: Track
+) -> None:
+    """Write the files that are missing in the folder of a finished import with the same options."""
+    remove_unfinished(out, deep=True)
+    indices = _read_indices(imported, out, options, track)
+    _write(imported, indices, out, options, before.offsets, track, with_calibration=False)
+    log("the import with these options already exists; no file is changed")
+    _tell_all(before.warnings, warn)
 
 
 def _tell_all(lines: Sequence[str], tell: Log) -> None:
@@ -369,10 +377,14 @@ def _write(
     track: Track,
     *,
     with_calibration: bool,
+    sound: str = LATER,
 ) -> list[str]:
     """Write the files that are missing in ``out``. If ``with_calibration`` is true, also write the calibration. Returns
     notes for the user.
     """
     if not with_calibration:
         imported = replace(imported, cameras=tuple(replace(camera, calibration=None) for camera in imported.cameras))
-    return write_capture(imported, indices, out, ImportSettings(options.copy, options.unpack, offsets), track)
+    notes = write_capture(imported, indices, out, ImportSettings(options.copy, options.unpack, offsets), track)
+    if sound != LATER:
+        notes += keep_sound(out, sound, align_videos(video_files(imported.cameras), indices, offsets), track)
+    return notes

@@ -38,21 +38,22 @@ def recordings_of(videos: Mapping[str, Video]) -> dict[str, Recording]:
     }
 
 
-def keep_sound(out: Path, wanted: str, videos: Mapping[str, Video], log: Log, track: Track) -> None:
+def keep_sound(out: Path, wanted: str, videos: Mapping[str, Video], track: Track) -> list[str]:
     """Write the sound of the whole capture ``out`` as sound.ogg, or remove this file if there is no sound.
 
-    ``wanted`` is the value of --sound, see :func:`~fourd.recording.soundtrack.choice.choose_sound`.
+    ``wanted`` is the value of --sound, see :func:`~fourd.recording.soundtrack.choice.choose_sound`. Returns lines
+    on the soundtracks for the user.
     """
-    rate, found = common_rate(videos), None
+    rate, found, notes = common_rate(videos), None, list[str]()
     if rate is not None:
-        found = choose_sound(wanted, recordings_of(videos), float(common_frames(videos) / rate), log, track)
+        found = choose_sound(wanted, recordings_of(videos), float(common_frames(videos) / rate), notes.append, track)
     elif wanted not in (AUTO, "none"):
         raise UserError(f"--sound {wanted}: expected videos, got images; name the sound when the scene is made")
     if found is None:
         (out / NAME).unlink(missing_ok=True)
-        return
+        return notes
     write_bytes_atomically(out / NAME, found.content)
-    log(found.note)
+    return [*notes, found.note]
 
 
 def capture_sound(

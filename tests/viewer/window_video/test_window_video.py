@@ -24,6 +24,9 @@ class Source:
     def read(self, index: int):
         raise AssertionError(index)
 
+    def read_sound(self) -> None:
+        return None
+
     def close(self) -> None:
         pass
 
