@@ -141,8 +141,7 @@ def import_source(
         log: called with one line for each result or choice.
         warn: called with one line for each suspected error.
         track: wraps loops to report progress.
-        sound: the value of --sound, see :func:`fourd.recording.soundtrack.choice.choose_sound`, or LATER, with which
-            no sound is written.
+        sound: see :func:`fourd.recording.soundtrack.choice.choose_sound`; with LATER, no sound is written.
 
     Raises:
         UserError: when the source or an option is invalid.
