@@ -7,8 +7,8 @@ from typing import Any
 import bpy
 
 NODES, MATERIAL = "fourd points", "fourd points"
-RADIUS, DENSITY, COLOUR = "radius", "density", "colour"
-"""Names of the attributes of the points."""
+RADIUS, DENSITY, COLOUR = "radius", "opacity", "colour"
+"""Names of the attributes of the points. Cycles keeps the name density for volumes."""
 
 
 def point_nodes() -> Any:

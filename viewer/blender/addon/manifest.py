@@ -98,7 +98,7 @@ def _parse(path: Path, content: Any) -> Manifest:
     points = tuple(whole(each["points"], 0, MAX_POINTS) for each in limited(content["frames"], MAX_FRAMES))
     if not points:
         raise ImportProblem(f"{path}: expected at least one frame, got none; export the scene again")
-    encoding = content["encoding"] if version > 2 else None
+    encoding: Any = content["encoding"] if version > 2 else None
     kept = encoding is not None and encoding.get("background") is not None
     background = content["background"]["points"] if content.get("kind") == "full" else 0
     metres = content.get("metres_per_unit")

@@ -94,7 +94,7 @@ def _read_table(path: Path) -> NDArray[np.void]:
         if kind == "ascii":
             stream.seek(start)
             lines = [stream.readline(4096) for _ in range(count)]
-            rows = [tuple(float(word) for word in line.split()[: len(dtype)]) for line in lines]
+            rows = [tuple(float(word) for word in line.split()[: len(dtype.names or ())]) for line in lines]
             return np.array(rows, dtype=dtype)
         stream.seek(0, 2)
         if stream.tell() < start + count * dtype.itemsize:
