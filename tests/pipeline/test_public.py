@@ -15,7 +15,7 @@ from tests.captures import write_ball_capture
 
 PUBLIC = {
     *("Camera", "MatteSettings", "Player", "TrainConfig", "UserError"),
-    *("look_at", "make", "open_capture", "open_run", "open_scene", "orbit", "render_points", "spiral", "train"),
+    *("look_at", "make", "open_capture", "open_run", "open_scene", "orbit", "render_points", "show", "spiral", "train"),
 }
 HEAVY = ("torch", "cv2", "numpy", "scipy", "av", "moderngl", "fourd._native")
 SMALL = fourd.TrainConfig(max_steps=2, points=300, layers=4)

@@ -90,7 +90,7 @@ class SlowSource:
         return random_frame(10 + index, 2, seed=index)
 
     def read_sound(self) -> None:
-        pass
+        return None
 
     def close(self) -> None:
         pass

@@ -141,8 +141,7 @@ def import_source(
         log: called with one line for each result or choice.
         warn: called with one line for each suspected error.
         track: wraps loops to report progress.
-        sound: the value of --sound, see :func:`fourd.recording.soundtrack.choice.choose_sound`, or LATER, with which
-            no sound is written.
+        sound: see :func:`fourd.recording.soundtrack.choice.choose_sound`; with LATER, no sound is written.
 
     Raises:
         UserError: when the source or an option is invalid.
@@ -163,6 +162,7 @@ def import_source(
     record = record if sound == LATER else replace(record, sound=sound)
     check_unpacked(out, started, files, started.offsets, options.reduce)
     write_record(out, record)
+    remove_unfinished(out, deep=True)
     indices = _read_indices(imported, out, options, track)
     estimate = _estimate(imported, indices, out, options, log, track)
     offsets = applied_offsets(estimate, options.offsets, options.applies_estimate)
@@ -195,6 +195,7 @@ def _confirm(
     imported: Imported, before: ImportRecord, out: Path, options: ImportOptions, log: Log, warn: Log, track: Track
 ) -> None:
     """Write the files that are missing in the folder of a finished import with the same options."""
+    remove_unfinished(out, deep=True)
     indices = _read_indices(imported, out, options, track)
     _write(imported, indices, out, options, before.offsets, track, with_calibration=False)
     log("the import with these options already exists; no file is changed")
@@ -279,9 +280,7 @@ def _read(source_format: Format, source: Path, options: ImportOptions) -> Import
 
 def _read_indices(imported: Imported, out: Path, options: ImportOptions, track: Track) -> Indices:
     """Return the :class:`~fourd.recording.capture.video.VideoIndex` of each video: frame size, frame times and
-    keyframes. The frame sizes are multiplied by the factor of the option --scale. What an interrupted import has left
-    is removed first."""
-    remove_unfinished(out, deep=True)
+    keyframes. The frame sizes are multiplied by the factor of the option --scale."""
     return reduced_indices(cached_indices(video_files(imported.cameras), out, track), options.reduce)
 
 

@@ -69,7 +69,8 @@ def test_the_extra_lists_the_same_packages() -> None:
     """Catches a list of packages that differs from the extra in pyproject.toml."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     names = {re.split(r"[<>=\[]", each)[0].replace("-", "_") for each in project["optional-dependencies"]["viewer"]}
-    assert names == set(VIEWER_PACKAGES)
+    # A window without sounddevice plays scenes without sound.
+    assert names - {"sounddevice"} == set(VIEWER_PACKAGES)
     assert not names & {re.split(r"[<>=\[]", each)[0].replace("-", "_") for each in project["dependencies"]}
 
 

@@ -25,7 +25,7 @@ class Source:
         raise AssertionError(index)
 
     def read_sound(self) -> None:
-        pass
+        return None
 
     def close(self) -> None:
         pass

@@ -125,7 +125,7 @@ export class Sound {
     return this.clock.seconds - (this.delay ?? 0);
   }
 
-  /** Stops the sound until the picture plays again. */
+  /** Stops the sound until the picture moves again. */
   rest() {
     const { context, source, gain } = this;
     if (!context || !source || !gain) return;
