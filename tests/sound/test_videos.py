@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from fourd.cli.main import main
-from fourd.viewer.output.sound import Part, parts_at_speed
+from fourd.recording.soundtrack.captures import Span
+from fourd.viewer.output.sound import parts_at_speed
 from tests.sound.claps import onsets, write_clap_scene
 
 CLAP = 20 / 30
@@ -103,10 +104,10 @@ def test_a_gif_has_no_sound(scene: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("frames", "fps", "expected"),
     [
-        (range(4), 30, [Part(0, 4 / 30)]),
-        ([2, 3, 0, 1, 2], 30, [Part(2 / 30, 2 / 30), Part(0, 3 / 30)]),
-        ([0, 0, 1, 1, 2, 2], 60, [Part(0, 0.1)]),
-        ([0, 2, 4], 15, [Part(0, 0.2)]),
+        (range(4), 30, [Span(0, 4 / 30)]),
+        ([2, 3, 0, 1, 2], 30, [Span(2 / 30, 2 / 30), Span(0, 3 / 30)]),
+        ([0, 0, 1, 1, 2, 2], 60, [Span(0, 0.1)]),
+        ([0, 2, 4], 15, [Span(0, 0.2)]),
         ([3, 2, 1, 0], 30, None),
         ([0] * 9, 30, None),
         ([0, 0, 1, 1, 2, 2], 30, None),
@@ -114,7 +115,7 @@ def test_a_gif_has_no_sound(scene: Path, tmp_path: Path) -> None:
         ([], 30, None),
     ],
 )
-def test_parts_at_speed(frames: list[int], fps: float, expected: list[Part] | None) -> None:
+def test_parts_at_speed(frames: list[int], fps: float, expected: list[Span] | None) -> None:
     """Catches sound for a scene that is frozen, slow, fast or reversed, and none for one that is only repeated."""
     found = parts_at_speed(list(frames), fps, 30.0)
     assert (None if found is None else list(found)) == (None if expected is None else expected)

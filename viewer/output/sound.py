@@ -6,20 +6,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from fourd.recording.soundtrack.captures import Span
 from fourd.recording.soundtrack.ogg import RATE
 from fourd.recording.soundtrack.opus import Samples, cut, decode_opus
 from fourd.scene.files.sound import OpusSound, SceneSound
 from fourd.scene.scene import SceneManifest
 
 LEFT_OUT = "the sound is left out, because the scene does not play at its own speed in this video"
-
-
-@dataclass(frozen=True)
-class Part:
-    """A part of a video in which the scene plays on: ``seconds`` s from the time ``begin`` of the scene."""
-
-    begin: float
-    seconds: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +27,7 @@ class VideoSound:
 
     sound: OpusSound
     described: SceneSound
-    parts: tuple[Part, ...]
+    parts: tuple[Span, ...]
 
     @property
     def channels(self) -> int:
@@ -68,7 +61,7 @@ def sound_of_video(
     return LEFT_OUT if parts is None else VideoSound(sound, manifest.sound, parts)
 
 
-def parts_at_speed(frames: Sequence[int], fps: float, scene_fps: float) -> tuple[Part, ...] | None:
+def parts_at_speed(frames: Sequence[int], fps: float, scene_fps: float) -> tuple[Span, ...] | None:
     """Divide a video into parts in which the scene plays at its own speed. A part ends where the scene begins again.
 
     Returns None if the scene plays at another speed or backwards, or if its time stands still.
@@ -87,4 +80,4 @@ def parts_at_speed(frames: Sequence[int], fps: float, scene_fps: float) -> tuple
                 return None
     if len(frames) > 1 and len(set(frames)) == 1:
         return None
-    return tuple(Part(frames[start] / scene_fps, (end - start) / fps) for start, end in zip(starts, ends, strict=True))
+    return tuple(Span(frames[start] / scene_fps, (end - start) / fps) for start, end in zip(starts, ends, strict=True))

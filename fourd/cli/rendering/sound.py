@@ -26,7 +26,7 @@ def video_sound(source: Location, frames: Sequence[int], fps: float, console: Co
     from fourd.scene.container import SceneReader
     from fourd.viewer.output.sound import sound_of_video
 
-    if not isinstance(source, StorageUrl) and (source.is_dir() or source.suffix.lower() != SCENE_SUFFIX):
+    if not isinstance(source, StorageUrl) and (source.is_dir() or source.suffix.lower() != ".4dv"):
         return None
     with closing(SceneReader(source)) as reader:
         found = sound_of_video(reader.read_sound(), reader.manifest, frames, fps)
@@ -34,6 +34,3 @@ def video_sound(source: Location, frames: Sequence[int], fps: float, console: Co
         console.print(found, soft_wrap=True)
         return None
     return found
-
-
-SCENE_SUFFIX = ".4dv"

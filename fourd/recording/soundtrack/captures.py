@@ -24,7 +24,7 @@ MAX_BYTES = 1 << 30
 
 @dataclass(frozen=True)
 class Span:
-    """A part of a capture: ``seconds`` s from the time ``begin``, in seconds from frame 0."""
+    """A part of a capture or a scene: ``seconds`` s from the time ``begin``, in seconds from frame 0."""
 
     begin: float
     seconds: float

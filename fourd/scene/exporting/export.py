@@ -17,7 +17,7 @@ from fourd.base.progress import Track, untracked
 from fourd.recording.capture.layout import sample_indices
 from fourd.scene.colour_fit import viewpoints
 from fourd.scene.exporting import usd
-from fourd.scene.exporting.dgs import SceneClouds, write_dgs
+from fourd.scene.exporting.dgs import DgsExport, write_dgs
 from fourd.scene.exporting.format import Format
 from fourd.scene.exporting.gltf import write_splat_glb
 from fourd.scene.rendering import Scene, render_frame
@@ -105,10 +105,11 @@ def export_scene(scene: Scene, out: Path, settings: ExportSettings, track: Track
     files = list_files(out, settings, manifest)
     fit = SplatFit(manifest, 0 if settings.format in ("splat", "ply") else settings.degree)
     rotation, unit = _rotation(manifest, settings), manifest.metres_per_unit or 1.0
+    rate = manifest.fps
     loss = _LossMeter(manifest, settings.frames)
     if settings.format == "4dgs":
-        clouds = SceneClouds(scene, fit, rotation, loss.measure)
-        write_dgs(out, clouds, settings.frames, settings.degree, track, has_up_y=not settings.keep_axes)
+        axes = rotation, not settings.keep_axes
+        write_dgs(out, scene, fit, DgsExport(settings.frames, rate, settings.degree, *axes, loss.measure), track)
         return ExportReport((out,), out.stat().st_size / max(len(settings.frames), 1), loss.psnr)
     for position, index in enumerate(track(settings.frames, len(settings.frames), "export")):
         frame = scene.frame(index)
@@ -121,7 +122,7 @@ def export_scene(scene: Scene, out: Path, settings: ExportSettings, track: Track
     if settings.format == "usd" and files != [out]:
         player = out if _is_file_name(out, "usd") else out / usd.SCENE
         names = [file.relative_to(player.parent).as_posix() for file in files]
-        usd.write_usd_scene(player, names, settings.degree, manifest.fps, unit)
+        usd.write_usd_scene(player, names, settings.degree, rate, unit)
         files.append(player)
     return ExportReport(tuple(files), size, loss.psnr)
 

@@ -218,8 +218,8 @@ def _conversion(manifest: SceneManifest, tier: Tier) -> tuple[Callable[[BakedFra
     colours of splats, whose spherical harmonics have a range that is 16 times as large. Other scenes do not change."""
     optional = tuple(name for name in manifest.optional_attributes if name != "normals")
     manifest = replace(manifest, optional_attributes=optional)
-    is_wide = manifest.view_count == 0 and manifest.sh_range > LIGHT_SH_RANGE
-    if not is_wide and (tier != "light" or manifest.view_count == 0):
+    needs_fit = tier == "light" if manifest.view_count else manifest.sh_range > LIGHT_SH_RANGE
+    if not needs_fit:
         return lambda cloud: cloud, manifest
     fit = LightFit(manifest)
     described = replace(

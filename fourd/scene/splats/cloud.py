@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,6 +87,12 @@ def make_valid_cloud(
         np.clip(opacity[kept], 0, 1),
         np.ascontiguousarray(sh[kept]),
     )
+
+
+def merge_clouds(clouds: Sequence[SplatCloud]) -> SplatCloud:
+    """Return all splats of one or more clouds whose spherical harmonics have the same degree."""
+    names = ("xyz", "scale", "rotation", "opacity", "sh")
+    return SplatCloud(*(np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in names))
 
 
 def rotate_cloud(cloud: SplatCloud, rotation: NDArray[np.float64]) -> SplatCloud:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fourd.base.errors import UserError
 from fourd.rendering.ops.shade.harmonics import SH_CONSTANT
 from fourd.scene.scene import BakedFrame
-from fourd.scene.splats.cloud import TERMS_BY_DEGREE, SplatCloud, make_valid_cloud
+from fourd.scene.splats.cloud import TERMS_BY_DEGREE, SplatCloud, make_valid_cloud, merge_clouds
 from fourd.scene.splats.dgs_writer import RATE_ATTRIBUTE, require_fourdgs
 from fourd.scene.splats.frames import frame_from_splats
 from fourd.scene.splats.splat_manifest import splat_manifest
@@ -114,14 +114,14 @@ class DgsReader:
         time, degree = (index + 0.5) / self.rate, self._scene.header.sh_degree
         if self._splats_at(index) > MAX_SPLATS:
             raise self._damaged(f"more than {MAX_SPLATS:,} splats at once")
-        clouds = []
+        clouds = [_empty(degree)]
         with self._lock, self._errors():
             for entry in self._scene.chunks_for_time(time):
                 chunk = read_chunk(self._source, self._scene, entry, max_sh_band=degree)
                 splats = _splats(chunk, self._scene.windows)
                 state = state_at_with_objects(splats, self._objects, time, self._scene.header.cutoff)
                 clouds.append(_cloud(splats, state, chunk["sh"], degree))
-        return _merged(clouds, degree)
+        return merge_clouds(clouds)
 
     def _splats_at(self, index: int) -> int:
         """Return the number of splats in the chunks of a frame, of which some may be invisible."""
@@ -196,19 +196,7 @@ def _cloud(splats: Any, state: dict[str, Any], bands: dict[int, NDArray[np.int64
         )
 
 
-def _merged(clouds: list[SplatCloud], degree: int) -> SplatCloud:
-    empty = SplatCloud(
-        np.zeros((0, 3), np.float32),
-        np.zeros((0, 3), np.float32),
-        np.zeros((0, 4), np.float32),
-        np.zeros(0, np.float32),
-        np.zeros((0, 3, TERMS_BY_DEGREE[degree]), np.float32),
-    )
-    parts = clouds or [empty]
-    return SplatCloud(
-        np.concatenate([part.xyz for part in parts]),
-        np.concatenate([part.scale for part in parts]),
-        np.concatenate([part.rotation for part in parts]),
-        np.concatenate([part.opacity for part in parts]),
-        np.concatenate([part.sh for part in parts]),
-    )
+def _empty(degree: int) -> SplatCloud:
+    sh = np.zeros((0, 3, TERMS_BY_DEGREE[degree]), np.float32)
+    vectors, quaternions = np.zeros((0, 3), np.float32), np.zeros((0, 4), np.float32)
+    return SplatCloud(vectors, vectors, quaternions, np.zeros(0, np.float32), sh)
