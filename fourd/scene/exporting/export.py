@@ -20,6 +20,7 @@ from fourd.scene.exporting import usd
 from fourd.scene.exporting.dgs import DgsExport, write_dgs
 from fourd.scene.exporting.format import Format
 from fourd.scene.exporting.gltf import write_splat_glb
+from fourd.scene.playable import PlayableScene, selected_rate
 from fourd.scene.rendering import Scene, render_frame
 from fourd.scene.scene import SceneManifest
 from fourd.scene.splats.cloud import SplatCloud, rotate_cloud
@@ -105,7 +106,7 @@ def export_scene(scene: Scene, out: Path, settings: ExportSettings, track: Track
     files = list_files(out, settings, manifest)
     fit = SplatFit(manifest, 0 if settings.format in ("splat", "ply") else settings.degree)
     rotation, unit = _rotation(manifest, settings), manifest.metres_per_unit or 1.0
-    rate = manifest.fps
+    rate = selected_rate(PlayableScene(scene), settings.frames)
     loss = _LossMeter(manifest, settings.frames)
     if settings.format == "4dgs":
         axes = rotation, not settings.keep_axes

@@ -99,6 +99,15 @@ def test_a_file_comes_back_as_the_same_scene(tmp_path: Path) -> None:
         assert read.manifest.metres_per_unit == 0.5
 
 
+def test_every_second_frame_plays_at_the_speed_of_the_recording(tmp_path: Path) -> None:
+    """Catches an export of every second frame that plays twice as fast."""
+    write_scene(tmp_path / "a.4dv")
+    reader = DgsReader(export(tmp_path / "a.4dv", tmp_path / "a.4dgs", (0, 2)))
+    assert (reader.rate, reader.manifest.frame_count) == (FPS / 2, 2)
+    assert [len(reader.cloud(index)) for index in range(2)] == [200, 202]
+    reader.close()
+
+
 def test_the_background_is_stored_once(tmp_path: Path) -> None:
     """Catches files that contain the static points in every frame, and frames without static points."""
     write_full_scene(tmp_path / "a.4dv")
