@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fourd.scene import SceneReader
+from fourd.recording.soundtrack.opus import encode_opus
+from fourd.scene import SceneReader, SceneWriter
+from fourd.scene.files.sound import OpusSound
 from fourd.scene.packed.colours import mean_colours
 from fourd.scene.packing.pack import pack_scene
 from fourd.scene.packing.writer import Storage
@@ -22,7 +24,7 @@ from fourd.viewer.blender.addon.ply_files import list_sequence, read_ply
 from fourd.viewer.blender.addon.points import ImportProblem
 from fourd.viewer.blender.addon.scene_file import SH_CONSTANT, read_background, read_frame
 from fourd.viewer.blender.archive import NAME, write_addon
-from tests.baking.scenes import write_full_scene, write_scene
+from tests.baking.scenes import manifest, random_frame, write_full_scene, write_scene
 
 WITHOUT_FOURD = """
 import json, sys
@@ -66,6 +68,24 @@ def test_points_are_those_of_fourd(scene: Path) -> None:
     reader.close()
 
 
+@pytest.mark.parametrize("is_packed", [False, True])
+def test_scenes_with_sound_are_read(tmp_path: Path, *, is_packed: bool) -> None:
+    """Catches a scene that the add-on refuses, or reads as packed, because it has sound."""
+    path = tmp_path / "scene.4dv"
+    with SceneWriter(path, manifest(views=3, frames=2)) as writer:
+        for index in range(2):
+            writer.add_frame(index, random_frame(40, 3, seed=index))
+        writer.add_sound(OpusSound(encode_opus([np.zeros((1, 4000), np.float32)], 1)))
+    if is_packed:
+        pack_scene(path, path, "stream", storage=Storage("zlib"))
+    reader = SceneReader(path)
+    assert reader.manifest.sound is not None
+    read = read_manifest(path)
+    for frame in range(2):
+        np.testing.assert_allclose(read_frame(read, frame).xyz, reader.read(frame).xyz, atol=1e-5)
+    reader.close()
+
+
 def test_the_zip_file_needs_no_fourd(scene: Path, tmp_path: Path) -> None:
     """Catches an import of fourd that Blender's Python cannot resolve, and files that differ from run to run."""
     words = [sys.executable, "-m", "fourd.viewer.blender", tmp_path / "addon.zip"]
@@ -101,7 +121,7 @@ def damage(path: Path, out: Path, change: Callable[[dict], object], member: byte
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda values: values.update(version=9), "expected a scene of version 1 to 4, got 9; update the add-on"),
+        (lambda values: values.update(version=9), "expected a scene of version 1 to 5, got 9; update the add-on"),
         (lambda values: values.update(frames=[]), "expected at least one frame, got none"),
         (lambda values: values.update(fps="fast"), "expected a number from 0.001 to 10000.0, got fast"),
         (lambda values: values.update(fps=float("nan")), "got nan"),

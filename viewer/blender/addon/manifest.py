@@ -16,7 +16,8 @@ from fourd.viewer.blender.addon.points import ImportProblem, View
 
 MAX_MANIFEST = 64 << 20
 MAX_FRAMES, MAX_VIEWS, MAX_POINTS, MAX_SIDE, MAX_STEPS = 1_000_000, 4096, 1 << 26, 1 << 16, 1 << 16
-NEWEST_VERSION = 4
+NEWEST_VERSION = 5
+"""Scenes of version 5 have sound, which the add-on does not read. They are packed if they describe how."""
 SH_NUMBERS = 48
 
 
@@ -98,7 +99,8 @@ def _parse(path: Path, content: Any) -> Manifest:
     points = tuple(whole(each["points"], 0, MAX_POINTS) for each in limited(content["frames"], MAX_FRAMES))
     if not points:
         raise ImportProblem(f"{path}: expected at least one frame, got none; export the scene again")
-    encoding: Any = content["encoding"] if version > 2 else None
+    is_packed = "encoding" in content if version == NEWEST_VERSION else version > 2
+    encoding: Any = content["encoding"] if is_packed else None
     kept = encoding is not None and encoding.get("background") is not None
     background = content["background"]["points"] if content.get("kind") == "full" else 0
     metres = content.get("metres_per_unit")
